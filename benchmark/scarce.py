@@ -53,7 +53,7 @@ class Landing(NamedTuple):
 
     def __str__(self) -> str:
         end = f"{'safe' if self.safe else 'unsafe'}, map said {self.said}" if self.down else "-"
-        ground = f"{100.0 * self.share:.1f} % safe, room {self.clearance:.2f} m"
+        ground = f"{100.0 * self.share:.1f} % safe, clearance {self.clearance:.2f} m"
         return f"seed {self.seed}: {ground}; {self.outcome}, {end}"
 
 
@@ -69,8 +69,8 @@ def main() -> None:
         for one in pool.map(land, parse_seeds(options.seeds)):
             landings.append(one)
             print(one, file=sys.stderr)
-    parts = {f"with {MIN_CLEARANCE:g} m of room": [one for one in landings if one.counts]}
-    parts["less room"] = [one for one in landings if not one.counts]
+    parts = {f"with {MIN_CLEARANCE:g} m of clearance": [one for one in landings if one.counts]}
+    parts["less clearance"] = [one for one in landings if not one.counts]
     table(
         f"{len(landings)} flights",
         ["in truth", "flights", "touchdowns", "safe", "unsafe", "share with a touchdown, %"],

@@ -24,8 +24,6 @@ from common import machine, table
 from common.as_posed import lengths
 from common.claims import Claims, Surface, claims, summary
 from common.rays import EXACT, looking
-from matplotlib.figure import Figure
-from scipy.special import erfc
 
 from quadtree_lss.lab.simulation.terrain import Terrain, load_terrain
 from quadtree_lss.onboard.arrays import Array
@@ -40,8 +38,6 @@ WAVES = (12.0, 60.0, 8)
 EDGE_DISTANCE = 12.5
 #: Sides of the coarse leaf, m.
 SIDES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
-#: Bounds of the observed shares in the figure.
-SHARES = (0.01, 0.1, 0.25, 0.5, 0.75, 1.0)
 
 
 @dataclass(frozen=True)
@@ -55,7 +51,7 @@ class Draw:
 
 
 def main() -> None:
-    """Print a table and draw the figure."""
+    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--draws", type=int, default=4000, help="leaves of one scan")
     parser.add_argument("--of-twenty", type=int, default=1000, help="leaves of twenty scans")
@@ -63,7 +59,6 @@ def main() -> None:
     text = "root mean square slope of waves, degrees"
     parser.add_argument("--rolling", type=float, default=0.0, help=text)
     parser.add_argument("--terrain", type=Path, help=".npz of measured ground")
-    parser.add_argument("--figure", type=Path, help="PNG to draw")
     options = parser.parse_args()
     print(machine())
     counts = {1: options.draws, 20: options.of_twenty}
@@ -80,8 +75,6 @@ def main() -> None:
         ["scans, and which", "draws", "measured", *3 * three],
         rows,
     )
-    if options.figure:
-        draw(options.figure, found)
 
 
 def row_of(draws: list[Draw]) -> list[object]:
@@ -194,30 +187,6 @@ def scan_strip(rng: np.random.Generator, scans: int, relief: float | Terrain = 0
         )
         mapper.update(to @ axes, Pose(round(1e9 + 5e7 * k), position, axes, EXACT))
     return Draw(share, scans, claims(mapper.snapshot(), surface))
-
-
-def draw(file: Path, found: list[Draw]) -> None:
-    """Draw the share of ratios beyond each value, by the observed share of the leaf."""
-    figure = Figure(figsize=(11.0, 4.4), layout="constrained")
-    colours = ("#d55e00", "#e69f00", "#009e73", "#56b4e9", "#0072b2")
-    at = np.linspace(0.0, 8.0, 401)
-    for axes, of in zip(figure.subplots(1, 2), ("height", "slope"), strict=True):
-        for low, high, colour in zip(SHARES, SHARES[1:], colours, strict=False):
-            ratios = pooled([d for d in found if low <= d.share <= high], of)
-            if not len(ratios):
-                continue
-            size = np.sort(np.abs(ratios))
-            beyond = 1.0 - np.searchsorted(size, at, side="right") / len(size)
-            rms = f"RMS {np.sqrt(np.mean(size**2)):.2f}"
-            name = f"{100 * low:g} to {100 * high:g} % seen: {rms}, {len(size)} ratios"
-            axes.plot(at, beyond, color=colour, lw=1.4, label=name)
-        axes.plot(at, erfc(at / np.sqrt(2.0)), color="black", ls="--", lw=1.4, label="$\\chi_1$")
-        axes.axvline(4.0, color="#bbbbbb", lw=0.8)
-        axes.set(yscale="log", ylim=(1e-4, 1.0), xlim=(0.0, 8.0))
-        axes.set(xlabel="deviations", ylabel="share of leaves that are off by more")
-        axes.set_title(of, fontsize="medium")
-        axes.legend(fontsize="small", loc="upper right")
-    figure.savefig(file, dpi=100)
 
 
 if __name__ == "__main__":

@@ -46,7 +46,7 @@ HEIGHTS, DURATION = (25.0, 5.0), 20.0
 MIN_MOVE, LATE_S, MIN_GAIN = 1.0, 8.0, 0.004
 #: Reasons of withdrawals because of the ground.
 WITHDRAWAL_REASONS = (Reason.HAZARD, Reason.UNSEEN, Reason.UNMAPPED, Reason.UNLIKELY)
-#: Bounds of the bins of predicted risk, with ``--told``.
+#: Bounds of the bins of predicted risk, with ``--predicted``.
 RISK_EDGES = (0.0, 0.001, 0.003, 0.01, 0.03, 0.1)
 #: Bounds of the bins of predicted gain, with ``--bias``.
 GAIN_EDGES = (0.0, 0.001, 0.004, 0.01, 0.02, 0.04, 0.1)
@@ -58,9 +58,8 @@ def main() -> None:
     parser.add_argument("--seeds", default="541-547", help="first-last; fields take turns")
     parser.add_argument("--set", nargs="*", default=[], metavar="KEY=VALUE", help="of lss")
     parser.add_argument("--drone", action="store_true", help="a drone's flights, with its preset")
-    parser.add_argument(
-        "--told", action="store_true", help="risks of the safest aims: predicted, at the end, true"
-    )
+    text = "risks of the safest aims: predicted, at the end, true"
+    parser.add_argument("--predicted", action="store_true", help=text)
     parser.add_argument("--bias", action="store_true", help="gains: predicted and true")
     options = parser.parse_args()
     changes = {
@@ -98,8 +97,8 @@ def main() -> None:
             ["below the first site's, mean and most", f"{missed.mean():.4f}, {missed.max():.4f}"],
         ],
     )
-    if options.told:
-        _print_told(np.concatenate([flight.told for flight in flights]))
+    if options.predicted:
+        _print_risks(np.concatenate([flight.risks for flight in flights]))
     if options.bias:
         _print_gains(np.concatenate([flight.gains for flight in flights]))
 
@@ -125,7 +124,7 @@ class Move:
 class Tally:
     """Figures of one flight. ``first``: time of the first target, s; ``end``: of commitment, or of
     the end; ``last``, ``first_site``, ``best``: true probability of the last target, of the first
-    site, and of the best grid point in the scanned area; ``told``: (K, 3) risk of the safest aims
+    site, and of the best grid point in the scanned area; ``risks``: (K, 3) risk of the safest aims
     as predicted, as predicted at the end, and in truth; ``gains``: (K, 2) predicted and true."""
 
     moves: list[Move] = field(default_factory=list)
@@ -135,7 +134,7 @@ class Tally:
     end: float = float("nan")
     first_site: float = 0.0
     best: float = 0.0
-    told: Array = field(default_factory=lambda: np.empty((0, 3)))
+    risks: Array = field(default_factory=lambda: np.empty((0, 3)))
     gains: Array = field(default_factory=lambda: np.empty((0, 2)))
 
 
@@ -185,7 +184,7 @@ def fly(simulation: Simulation, config: Config, every: int, period: float) -> Ta
     selector, tally, truth = LandingSiteSelector(config), Tally(), None
     target, was_withdrawn = None, False
     before = (float("nan"), float("nan"))
-    told: list[tuple[tuple[int, int], float]] = []
+    predicted: list[tuple[tuple[int, int], float]] = []
     gains: list[tuple[float, float]] = []
     first_sites: set[tuple[int, int]] = set()
     for number, (scan, _, mapper) in enumerate(steps(in_memory(simulation), config), start=1):
@@ -200,7 +199,7 @@ def fly(simulation: Simulation, config: Config, every: int, period: float) -> Ta
         if truth is None:
             truth = Truth(simulation, found, config)
             tally.best = truth.best
-        told += [(at, 1.0 - found.probability[at]) for at in _safest_aims(found)]
+        predicted += [(at, 1.0 - found.probability[at]) for at in _safest_aims(found)]
         chosen = found.selected
         if chosen.state is State.COMMITTED and np.isnan(tally.end):
             tally.end = now
@@ -224,7 +223,7 @@ def fly(simulation: Simulation, config: Config, every: int, period: float) -> Ta
     tally.gains = np.array(gains).reshape(-1, 2)
     tally.last = 0.0 if target is None else float(truth.probability[truth.at(target)])
     end = 1.0 - found.probability
-    tally.told = np.array([(r, end[at], 1.0 - truth.probability[at]) for at, r in told])
+    tally.risks = np.array([(r, end[at], 1.0 - truth.probability[at]) for at, r in predicted])
     return tally
 
 
@@ -261,10 +260,10 @@ def _safest_aims(found: LandingAssessment) -> list[tuple[int, int]]:
     return places
 
 
-def _print_told(told: Array) -> None:
+def _print_risks(risks: Array) -> None:
     rows = []
     for low, high in zip(RISK_EDGES, RISK_EDGES[1:], strict=False):
-        some = told[(told[:, 0] >= low) & (told[:, 0] < high)]
+        some = risks[(risks[:, 0] >= low) & (risks[:, 0] < high)]
         if len(some):
             off = np.sqrt(np.mean((some[:, 1:] - some[:, :1]) ** 2, axis=0))
             rows.append(
@@ -272,7 +271,7 @@ def _print_told(told: Array) -> None:
                 + [f"{v:.4f}" for v in (*some.mean(axis=0), *off)]
                 + [f"{off[1] / some[:, 0].mean():.2f}"]
             )
-    heads = ["risk told", "aims", "told", "at the end", "true", "end off by", "truth off by"]
+    heads = ["risk", "aims", "predicted", "at the end", "true", "end off by", "truth off by"]
     table("the safest aims of 8 m squares", [*heads, "share"], rows)
 
 

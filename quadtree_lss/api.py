@@ -21,7 +21,7 @@ from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.landing.result import LandingAssessment, Sites
 from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.onboard.core.sensing.lidar import Pose
-from quadtree_lss.onboard.core.tree.cell_map import CellMap, Ground, Profile
+from quadtree_lss.onboard.core.tree.cell_map import CellMap, Ground
 from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.messages.intake import ReadyScan
 
@@ -40,7 +40,6 @@ __all__ = [
     "LandingSiteSelector",
     "Mapper",
     "Pose",
-    "Profile",
     "QuadtreeLssError",
     "ReadyScan",
     "ReplayError",

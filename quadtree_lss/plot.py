@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 from matplotlib.patches import Patch
+from numpy.typing import ArrayLike
 
 from quadtree_lss.desk.report import figures
 from quadtree_lss.desk.report.figures import mark_sites as sites
 from quadtree_lss.desk.report.palette import CLEAR_COLOUR, HAZARDS, KINDS, MAPS, hazard_classes
-from quadtree_lss.onboard.core.tree.cell_map import CellMap, Profile
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 __all__ = ["elevation", "layer", "profile", "sites"]
 UNITS = {"elevation": "m", "plane_elevation": "m", "slope_deg": "deg"}
@@ -58,13 +59,20 @@ def layer(axes: Any, grid: Any, name: str) -> Any:
     return figures.layer(axes, grid.x, grid.y, np.asarray(values, float), kind, heights=heights)
 
 
-def profile(axes: Any, along: Profile, *, sigmas: float = 3.0, **line: Any) -> Any:
-    """Plot heights along a line with a band of ``sigmas`` standard deviations."""
-    (drawn,) = axes.plot(along.distance, along.height, **line)
-    band = sigmas * along.deviation
+def profile(
+    axes: Any, cells: CellMap, start: ArrayLike, end: ArrayLike, *, sigmas: float = 3.0, **line: Any
+) -> Any:
+    """Plot the heights of a map along the straight line between two points (x, y), m, sampled
+    twice in each finest cell, with a band of ``sigmas`` standard deviations."""
+    first, last = np.asarray(start, np.float64), np.asarray(end, np.float64)
+    length = float(np.hypot(*(last - first)))
+    share = np.linspace(0.0, 1.0, int(np.ceil(2.0 * length / cells.domain.finest_size)) + 1)
+    ground = cells.at(*(first + share[:, None] * (last - first)).T)
+    (drawn,) = axes.plot(length * share, ground.height, **line)
+    band = sigmas * ground.deviation
     style = {"color": drawn.get_color(), "alpha": 0.25, "linewidth": 0}
     label = f"± {sigmas:g} standard deviations"
-    low, high = along.height - band, along.height + band
-    axes.fill_between(along.distance, low, high, label=label, **style)
+    low, high = ground.height - band, ground.height + band
+    axes.fill_between(length * share, low, high, label=label, **style)
     axes.set(xlabel="distance, m", ylabel="height, m")
     return drawn

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mean heights on a fixed grid, the simplest terrain map, as a reference for the mapper.
-
-Both methods compute the mean heights of a raw scan: a compiled loop, which is a lower bound for any
-method that processes each point, and ``numpy.bincount``.
+"""Mean heights of a raw scan on a fixed grid, the simplest terrain map, in a compiled loop: a lower
+bound for any method that processes each point.
 """
 
 from __future__ import annotations
@@ -23,38 +21,19 @@ from quadtree_lss.onboard.core.tree.domain import Domain
 Heights = Callable[[Array, Pose], Array]
 """From points (…, 3), float64, in lidar axes and the pose to mean heights (n, n) [iy, ix], m."""
 
-METHODS = ("plain compiled loop", "numpy.bincount")
 
-
-def mean_heights(domain: Domain) -> dict[str, Heights]:
-    """Make `METHODS` for the finest cells of ``domain``; cells without points are 0."""
+def mean_heights(domain: Domain) -> Heights:
+    """Make the loop for the finest cells of ``domain``; cells without points are 0."""
     n, size, low = domain.finest_count, domain.finest_size, (domain.xmin, domain.ymin)
     loop = compiled(Path(__file__).with_name("height_loop.py")).mean_heights
     count, mean = np.zeros((n, n)), np.zeros((n, n))
-
-    def to_map(points: Array, pose: Pose) -> tuple[Array, Array, Array]:
-        flat = points.reshape(-1, 3)
-        seen = flat[np.isfinite(flat).all(axis=1)]
-        x, y, z = (seen @ pose.rotation_map_lidar.T + pose.position).T
-        return x, y, z
 
     def by_loop(points: Array, pose: Pose) -> Array:
         turn, place = pose.rotation_map_lidar, pose.position
         loop(points.reshape(-1, 3), turn, place, *low, size, count, mean)
         return mean
 
-    def by_bincount(points: Array, pose: Pose) -> Array:
-        x, y, z = to_map(points, pose)
-        ix, iy = (
-            np.floor((v - start) / size).astype(int) for v, start in ((x, low[0]), (y, low[1]))
-        )
-        inside = (ix >= 0) & (ix < n) & (iy >= 0) & (iy < n)
-        cell = iy[inside] * n + ix[inside]
-        number = np.bincount(cell, minlength=n * n)
-        total = np.bincount(cell, z[inside], minlength=n * n)
-        return (total / np.maximum(number, 1)).reshape(n, n)
-
-    return dict(zip(METHODS, (by_loop, by_bincount), strict=True))
+    return by_loop
 
 
 @functools.cache

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What flies: configuration, core, messages and the nodes. Knows neither desk nor lab."""
+"""Everything that a vehicle needs: configuration, core, messages, nodes and autopilot."""

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names of array types, by what their elements are, whose shapes and units stand where they are
-used; and the memory that they lie in."""
+"""Array types by their elements, and the memory of large arrays."""
 
 from __future__ import annotations
 
@@ -12,24 +11,23 @@ Single = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 #: Marks, and bits of hazards.
 Bytes = NDArray[np.uint8]
-#: Rows and places that arrays are indexed by.
+#: Indices of arrays.
 Index = NDArray[np.intp]
-#: The same in half the memory, and offsets in time, ns.
+#: Indices in half the memory, and offsets in time, ns.
 Ints = NDArray[np.int32]
 #: Morton keys of cells.
 Keys = NDArray[np.int64]
-#: Counts, numbers of places, indices of cells.
+#: Counts, numbers of sites, indices of cells.
 Numbers = NDArray[np.uint32]
-#: As the lidar gives them.
+#: Points of a message.
 Points = Single | Array
 
 
 def keep_memory() -> None:
-    """From now on the arrays of a map lie in memory that is kept, in huge pages where there are.
+    """Let this process keep the memory of freed arrays, in huge pages if available.
 
-    Else they are got from the system, page by page, for every map. What glibc has freed once in a
-    size it keeps from then on; and for as much as this NumPy asks Linux for huge pages, which stay
-    with what is kept. A landing pass takes 7 % less time for it.
+    Otherwise glibc requests pages from the system for the arrays of each map. After it has freed a
+    block of a size, it keeps blocks up to that size. An assessment then takes 7 % less time.
     """
-    for size in (31 << 20, 30 << 20):  # the second of what is kept
+    for size in (31 << 20, 30 << 20):  # the second block is kept
         np.empty(size, dtype=np.uint8)

@@ -1,16 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The exception every error meant for a user derives from, and text from outside made fit to show.
+"""Errors for users, and conversion of received text, such as names of frames, to one line."""
 
-Frames, topics and names of files come from whoever sent them: they may hold line ends, which fake
-lines of a log, escapes, which a terminal obeys, and megabytes.
-"""
-
-MOST_CHARACTERS = 1000
-"""Of one line that is shown."""
+MAX_CHARACTERS = 1000
+"""Greatest length of a line in a message."""
 
 
-def one_line(text: object, most: int = MOST_CHARACTERS) -> str:
-    """Text as one line of printable characters, others as escapes, cut beyond ``most``."""
+def one_line(text: object, most: int = MAX_CHARACTERS) -> str:
+    """Return a text as one line of at most ``most`` printable characters, others as escapes."""
     whole = str(text)
     line = whole[: 2 * most]
     if not line.isprintable():
@@ -22,11 +18,11 @@ def one_line(text: object, most: int = MOST_CHARACTERS) -> str:
 
 
 class QuadtreeLssError(Exception):
-    """Something the user can mend; its text is one clear line."""
+    """An error that the user can fix; its text is one line."""
 
     def __init__(self, text: object = "") -> None:
         super().__init__(one_line(text))
 
 
 class OutsideInput(QuadtreeLssError):
-    """An argument, such as a time or a place, lies outside of the recording or model."""
+    """An argument, such as a time or a position, is outside the recording or model."""

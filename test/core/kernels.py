@@ -69,6 +69,13 @@ measure, division = Exported("mapping.measure"), Exported("mapping.division")
 features = Exported("mapping.features")
 
 
+def plane_parts(*parts: Array) -> Array:
+    """`PlaneParts` of a normal (3,) and two covariances (3, 3), which it does not copy."""
+    assert all(part.flags.c_contiguous and part.dtype == np.float64 for part in parts)
+    names = ("normal", "range_part", "pose_part")
+    return np.array([tuple(part.ctypes.data for part in parts)], [(name, "u8") for name in names])
+
+
 def filled(kernel: Callable[..., object], sizes: tuple[int, ...], *given: object) -> list[Array]:
     """Arrays of these sizes, the last arguments of a kernel, as it leaves them."""
     out = [np.zeros(size) for size in sizes]

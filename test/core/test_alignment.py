@@ -13,10 +13,12 @@ NOISE = 0.02
 CELLS = {"min_level": 4, "max_level": 4}
 
 
-def cells_of(rise, own=1e-4, of_scan=0.09, of_map=0.01, first=0.0, last=0.0) -> np.ndarray:
+def cells_of(
+    rise, own=1e-4, scan_variance=0.09, map_variance=0.01, first=0.0, last=0.0
+) -> np.ndarray:
     """Return the cells that `height_offset` takes, with this rise."""
     rise = np.asarray(rise, dtype=np.float64)
-    columns = (rise, own, of_scan, of_map, first, last)
+    columns = (rise, own, scan_variance, map_variance, first, last)
     return np.array([np.broadcast_to(column, rise.shape) for column in columns], dtype=np.float64)
 
 
@@ -38,17 +40,19 @@ def test_a_few_wild_cells_do_not_move_a_scan(wild):
     assert abs(height_offset(cells_of(rise), 0.0, 0.0).height) < 0.01
 
 
-@pytest.mark.parametrize(("of_scan", "of_map"), [(0.25, 0.25), (0.01, 0.2), (0.2, 0.01)])
-def test_an_offset_divides_as_the_pose_errors_do(of_scan, of_map):
+@pytest.mark.parametrize(
+    ("scan_variance", "map_variance"), [(0.25, 0.25), (0.01, 0.2), (0.2, 0.01)]
+)
+def test_an_offset_divides_as_the_pose_errors_do(scan_variance, map_variance):
     """Against draws: the mean of either error, given their difference."""
     rng = np.random.default_rng(3)
-    scan_error = np.sqrt(of_scan) * rng.standard_normal(400_000)
-    map_error = np.sqrt(of_map) * rng.standard_normal(400_000)
+    scan_error = np.sqrt(scan_variance) * rng.standard_normal(400_000)
+    map_error = np.sqrt(map_variance) * rng.standard_normal(400_000)
     offset = scan_error - map_error + 0.04 * rng.standard_normal(400_000)
     near = np.abs(offset - 0.3) < 0.02
-    found = height_offset(cells_of(np.full(50, 0.3), 1e-6, of_scan, of_map), 0.0, 0.0)
-    assert found.scan == pytest.approx(scan_error[near].mean(), abs=0.01)
-    assert found.map == pytest.approx(-map_error[near].mean(), abs=0.01)
+    found = height_offset(cells_of(np.full(50, 0.3), 1e-6, scan_variance, map_variance), 0.0, 0.0)
+    assert found.scan_part == pytest.approx(scan_error[near].mean(), abs=0.01)
+    assert found.map_part == pytest.approx(-map_error[near].mean(), abs=0.01)
 
 
 def steps(x, y):
@@ -59,8 +63,8 @@ def steps(x, y):
 def test_an_error_that_persists_stays_as_it_is_and_one_that_is_old_is_news():
     cells = cells_of(np.full(50, 0.05), last=10.0)
     small, large = (height_offset(cells, 10.0 + later, 100.0) for later in (0.05, 1000.0))
-    assert abs(small.scan) < 0.003
-    assert large.scan == pytest.approx(height_offset(cells, 10.0, 0.0).scan, rel=1e-3)
+    assert abs(small.scan_part) < 0.003
+    assert large.scan_part == pytest.approx(height_offset(cells, 10.0, 0.0).scan_part, rel=1e-3)
 
 
 def test_a_jump_is_news_however_soon():

@@ -59,6 +59,14 @@ def test_an_export_does_not_change_with_the_mapper():
     assert to_bytes(state) == before
 
 
+def test_a_state_of_another_format_is_refused_by_its_number(content):
+    state = from_file(io.BytesIO(content))
+    state["format"] = state["format"] - 1
+    del state["pending_offset"]
+    with pytest.raises(CheckpointError, match="is not a checkpoint of this version"):
+        Mapper(CONFIG).import_state(state)
+
+
 def test_more_leaves_than_allowed_are_refused(content):
     with pytest.raises(CheckpointError, match=r"mapping\.max_cells"):
         Mapper(configured(mapping={"max_cells": 16})).import_state(from_file(io.BytesIO(content)))

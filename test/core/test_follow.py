@@ -18,7 +18,7 @@ from quadtree_lss.onboard.core.landing.target import Reason
 from quadtree_lss.onboard.core.mapping.alignment import OVERRULING_SCANS
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.checkpoint import CheckpointError, from_file, to_bytes
-from quadtree_lss.onboard.core.tree.domain import ASTRAY, Domain
+from quadtree_lss.onboard.core.tree.domain import FOLLOW_SHARE, Domain
 from quadtree_lss.onboard.core.tree.leaves import LEAF
 from quadtree_lss.onboard.messages.maps import round_trip
 
@@ -69,10 +69,10 @@ def test_moved_once_it_is_near_the_middle_and_stays(x, y, level):
     square = dataclasses.replace(SQUARE, min_level=level, max_level=9)
     moved = square.moved(*square.steps_to(x, y))
     for corner, place in ((moved.xmin, x), (moved.ymin, y)):
-        assert abs(place - corner - 8.0) <= ASTRAY * 16.0
+        assert abs(place - corner - 8.0) <= FOLLOW_SHARE * 16.0
     assert moved.steps_to(x, y) == (0, 0)
     # A vehicle that turns back at once does not take it back.
-    far = 0.9 * (ASTRAY - 1.0 / 16.0) * 16.0
+    far = 0.9 * (FOLLOW_SHARE - 1.0 / 16.0) * 16.0
     back = [c + 8.0 + far if abs(p - c - 8.0) < 1.0 else p
             for c, p in ((moved.xmin, x), (moved.ymin, y))]  # fmt: skip
     assert moved.steps_to(*back) == (0, 0)

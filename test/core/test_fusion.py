@@ -28,11 +28,10 @@ class Plane(NamedTuple):
 
 def fused(prior: Plane, other: Plane, common: float = 0.0) -> Plane:
     """Both over one place."""
-    normal, rise = other.normal.copy(), np.zeros(1)
-    known = prior.range_part.copy(), prior.pose_part.copy()
-    parts = other.range_part, other.pose_part
-    plane.fuse(prior.normal, prior.z - other.z, *known, normal, *parts, common, rise)
-    return Plane(normal, other.z + rise[0], *known)
+    parts = [part.copy() for part in (prior.normal, prior.range_part, prior.pose_part)]
+    measured = kernels.plane_parts(other.normal, other.range_part, other.pose_part)
+    rise = plane.fuse(kernels.plane_parts(*parts), prior.z - other.z, measured, common)
+    return Plane(parts[0], other.z + rise, *parts[1:])
 
 
 def estimate(rng: np.random.Generator, truth: np.ndarray, parts: np.ndarray) -> Plane:
@@ -61,11 +60,10 @@ def with_height(
     prior: Plane, lever: np.ndarray, variance: float, other: Plane, common: float, sloped: bool
 ) -> Plane:
     """A height over one place of a plane parallel to the prior, ``lever`` (2,) from its origin."""
-    normal, rise = prior.normal.copy(), np.zeros(1)
-    known = prior.range_part.copy(), prior.pose_part.copy()
+    parts = [part.copy() for part in (prior.normal, prior.range_part, prior.pose_part)]
     given = lever, variance, other.pose_part, common, sloped
-    plane.fuse_height(normal, prior.z - other.z, *known, *given, rise)
-    return Plane(normal, other.z + rise[0], *known)
+    rise = plane.fuse_height(kernels.plane_parts(*parts), prior.z - other.z, *given)
+    return Plane(parts[0], other.z + rise, *parts[1:])
 
 
 @pytest.mark.parametrize("common", [0.0, 0.6, 1.0])

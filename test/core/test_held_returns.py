@@ -151,7 +151,7 @@ def test_only_confirmed_places_outlast_many_scans(scans, shown):
     found = held(*[POINT] * scans)
     assert found.compare(POINT, DOMAIN, 0.4).shown.tolist() == [shown]
     for _ in range(30):
-        found.keep(None)
+        found.scans += 1
     compared = found.compare(POINT, DOMAIN, 0.4)
     assert compared.shown.tolist() == [3 if scans == 3 else 1] and len(compared.admitted) == 0
 

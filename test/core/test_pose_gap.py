@@ -6,7 +6,7 @@ import pytest
 from core.builders import configured, look
 from core.scenes import flat, make_pose, pose_covariance, scattered
 
-from quadtree_lss.onboard.core.mapping.mapper import GAP_SCANS, Mapper
+from quadtree_lss.onboard.core.mapping.mapper import OFFSET_SCANS, Mapper
 from quadtree_lss.onboard.messages.intake import pose_notice
 
 CLAIM = 0.1
@@ -32,28 +32,28 @@ def drawn(size: float, persist: bool, scans: int) -> np.ndarray:
 @pytest.mark.parametrize("correlation_time", [0.0, 300.0])
 @pytest.mark.parametrize("persist", [False, True])
 def test_errors_as_large_as_claimed_give_no_warning(persist, correlation_time):
-    mapper = hover(drawn(CLAIM, persist, 3 * GAP_SCANS), correlation_time)
-    assert mapper.pose_gap() is None
+    mapper = hover(drawn(CLAIM, persist, 3 * OFFSET_SCANS), correlation_time)
+    assert mapper.unexplained_offset() is None
 
 
 @pytest.mark.parametrize("correlation_time", [0.0, 300.0])
 def test_errors_ten_times_as_large_as_claimed_give_a_warning(correlation_time):
-    mapper = hover(drawn(10.0 * CLAIM, False, 3 * GAP_SCANS), correlation_time)
-    gap = mapper.pose_gap()
+    mapper = hover(drawn(10.0 * CLAIM, False, 3 * OFFSET_SCANS), correlation_time)
+    gap = mapper.unexplained_offset()
     assert gap is not None
     height, claimed = gap
     assert 3.0 * CLAIM < height < 30.0 * CLAIM and CLAIM <= claimed <= 2.0 * CLAIM
     notice = pose_notice(gap)
     assert notice is not None and "scans and map differ by" in notice.text
     mapper.reset()
-    assert mapper.pose_gap() is None and pose_notice(None) is None
+    assert mapper.unexplained_offset() is None and pose_notice(None) is None
 
 
 def test_single_wrong_poses_give_no_warning():
-    errors = drawn(CLAIM, False, 3 * GAP_SCANS)
+    errors = drawn(CLAIM, False, 3 * OFFSET_SCANS)
     errors[3::7] += 50.0
-    assert hover(errors, 0.0).pose_gap() is None
+    assert hover(errors, 0.0).unexplained_offset() is None
 
 
 def test_few_scans_give_no_warning():
-    assert hover(drawn(10.0 * CLAIM, False, GAP_SCANS), 0.0).pose_gap() is None
+    assert hover(drawn(10.0 * CLAIM, False, OFFSET_SCANS), 0.0).unexplained_offset() is None

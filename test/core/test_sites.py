@@ -309,7 +309,7 @@ TRIANGLE = [(1.0, 1.0), (15.0, 1.0), (8.0, 15.0)]
         ({"target": (1.0, np.inf)}, "target"),
         ({"target": (1.0,)}, "target"),
         ({"target": (None, 1.0)}, "no site"),
-        ({"withheld": "landing/keep_out cannot be used"}, "landing/keep_out cannot be used"),
+        ({"why_withheld": "landing/keep_out cannot be used"}, "landing/keep_out cannot be used"),
     ],
 )
 @pytest.mark.parametrize("assessment", ["paper", "touchdown", "probability"])

@@ -253,7 +253,7 @@ def test_the_target_is_the_first_site_and_every_answer_has_a_number(level_ground
     ("where", "reason", "pending"),
     [
         ({"keep_outs": "around"}, Reason.KEEP_OUT, True),
-        ({"withheld": "the map is too old"}, Reason.WITHHELD, False),
+        ({"why_withheld": "the map is too old"}, Reason.WITHHELD, False),
         ({"keep_outs": [[(0.0, 0.0)]]}, Reason.WITHHELD, False),
     ],
 )
@@ -406,7 +406,7 @@ def test_land_now_heeds_keep_outs_and_takes_what_is_least_unsafe(with_block):
     second = selector.assess(with_block, vehicle=here, keep_outs=[kept]).selected
     assert second.reason is Reason.LAND_NOW and second.id != first.id
     assert np.abs(second.position[:2] - first.position[:2]).max() > 2.0
-    none = selector.assess(with_block, vehicle=here, withheld="unreadable").selected
+    none = selector.assess(with_block, vehicle=here, why_withheld="unreadable").selected
     assert none.reason is Reason.WITHHELD and not none.id
 
 

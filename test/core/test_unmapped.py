@@ -144,5 +144,3 @@ def test_heights_keep_to_what_was_measured_there(level_ground):
     np.testing.assert_allclose(
         at.leaf_elevation(raster)[:-1, :-1][known], heights[known], atol=1e-9
     )
-    line = kept.profile((0.1, 3.0), (15.9, 3.3))
-    np.testing.assert_array_equal(line.height, kept.at(line.x, line.y).height)

@@ -24,8 +24,8 @@ def fly(**more):
 
 
 def predicted_risk(done):
-    """Of the touchdown, by the last map. Below the gate the target stays the same, also where later
-    returns put it within the margin of unsafe ground."""
+    """Return the predicted risk of the touchdown, by the last map. Below the gate the target stays
+    the same, even if later returns put it within the margin of unsafe ground."""
     last, x, y = done.last, done.figures["x"], done.figures["y"]
     return last.risk[abs(last.y - y).argmin(), abs(last.x - x).argmin()]
 

@@ -200,7 +200,7 @@ class Flight(Mapping):
                 self.intake.on_transforms(SimpleNamespace(transforms=[turned, *more]))
             if area is not None:
                 with suppress(MessageError):
-                    self.mapper.look_at(polygon_from_message(area))
+                    self.mapper.set_area(polygon_from_message(area))
             self.intake.on_pose(pose)
             self.intake.on_cloud(cloud, self.now)
         return next(iter(self.work(refused, self.word)), TAKEN)

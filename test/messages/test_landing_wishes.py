@@ -20,4 +20,4 @@ def test_what_was_heard_before_the_maps_frame_is_known_counts_by_its_frame():
     requests.use_message(AREA, message(CORNERS))
     assert not requests.use_frame("map") and requests.values[AREA].shape == (3, 2)
     assert "frame" in str(requests.use_frame("odom")[AREA]) and requests.values[AREA] is None
-    assert "landing/area" in requests.withheld
+    assert "landing/area" in requests.why_withheld

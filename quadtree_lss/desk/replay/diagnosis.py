@@ -68,7 +68,7 @@ class Reading:
     ``contents``: number of different clouds; ``reports``: of the mapper, by scan; ``dropped``:
     points by reason; ``contradicting``: share of the usable points that contradict the map;
     ``missed_at``: centre of the first scan outside the domain; ``roughness``: mean of the map, m;
-    ``gap``: `Mapper.pose_gap`, m; ``suggestion``: None because of ``failure``.
+    ``gap``: `Mapper.unexplained_offset`, m; ``suggestion``: None because of ``failure``.
     """
 
     def __init__(
@@ -107,7 +107,7 @@ class Reading:
         roughness = cells.roughness[cells.measured]
         self.domain = Domain.of(self.config.domain) if not self.reports else cells.domain
         self.roughness = float(np.nanmean(roughness)) if roughness.size else 0.0
-        self.gap = (mapper.pose_gap() or (None,))[0]
+        self.gap = (mapper.unexplained_offset() or (None,))[0]
         self.losses = [*bag.losses, *stream.losses]
 
     @property

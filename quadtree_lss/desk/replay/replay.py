@@ -28,7 +28,7 @@ from quadtree_lss.desk.replay.stream import (
     Stream,
 )
 from quadtree_lss.onboard.config.settings import DEFAULTS, Config
-from quadtree_lss.onboard.core.mapping.mapper import GAP_SCANS, Mapper, ScanReport
+from quadtree_lss.onboard.core.mapping.mapper import OFFSET_SCANS, Mapper, ScanReport
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.errors import one_line
@@ -276,7 +276,7 @@ class _Run:
         return KeyboardInterrupt() if self.interrupted else ReplayError(text)
 
     def _map(self, mapper: Mapper, scan: ReadyScan) -> None:
-        mapper.look_at(self._landing.requests.values[AREA])
+        mapper.set_area(self._landing.requests.values[AREA])
         began = time.perf_counter()
         report = mapper.update(scan.points_lidar, scan.pose, scan.sweep)
         map_ms = 1e3 * (time.perf_counter() - began) + self._decode_ms.pop(scan.stamp_ns, 0.0)
@@ -288,7 +288,7 @@ class _Run:
             self._add_notice(lost_points.MAP_OVERRULED, overruled)
         self.refused_divisions += report.refused_divisions
         self.noise_ratio = report.noise_ratio
-        if len(self.timings) % GAP_SCANS == 0:
+        if len(self.timings) % OFFSET_SCANS == 0:
             self._check_poses(mapper)
         counts = report.points, report.points_used, report.leaves, report.divisions
         self.timings.append(ScanTiming(report.stamp_ns, *counts, map_ms))
@@ -298,7 +298,7 @@ class _Run:
             self._landing.requests.navigation.use_pose(msg)
 
     def _check_poses(self, mapper: Mapper) -> None:
-        notice = pose_notice(mapper.pose_gap())
+        notice = pose_notice(mapper.unexplained_offset())
         self._pose_text = self._pose_text if notice is None else notice.text
 
     @property

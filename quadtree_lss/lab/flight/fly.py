@@ -140,7 +140,7 @@ class LockstepNodes:
         """Map the scans that are ready and assess the map if due; return the new messages on
         ``landing/selected``: positions (3,), or None without a target."""
         if "mapping" not in self._killed:
-            self.mapper.look_at(self._requests.values[AREA])
+            self.mapper.set_area(self._requests.values[AREA])
             for scan in self._intake.ready(now_ns):
                 report = self.mapper.update(scan.points_lidar, scan.pose, scan.sweep)
                 self._noise_ratio = report.noise_ratio

@@ -101,10 +101,7 @@ class Link:
     """
 
     def __init__(
-        self,
-        connection: str,
-        clock: Callable[[], int],
-        now: Callable[[], float] = time.monotonic,
+        self, connection: str, clock: Callable[[], int], now: Callable[[], float] = time.monotonic
     ) -> None:
         self._connection = connection
         self._port = self._open()
@@ -224,7 +221,7 @@ class Link:
             self._set_mode(GUIDED_MODES[self.kind])
 
     def stop_motors(self, *, disarm: bool) -> None:
-        """On the ground, request land mode if that stops the motors, or disarm; at most once per
+        """Request land mode on the ground if that stops the motors, or disarm; at most once per
         second, so call it until the motors have stopped."""
         if not self._is_due("stop_motors", HEARTBEAT_PERIOD_S, self._now()):
             return

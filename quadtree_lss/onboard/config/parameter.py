@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One row of the table of parameters: its declaration and its check."""
+"""Declaration of a parameter, and check of its values."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class ConfigError(QuadtreeLssError):
 
 @dataclass(frozen=True)
 class Parameter:
-    """One row of the table.
+    """A row of the table of parameters.
 
     Attributes:
         name: Dotted name.

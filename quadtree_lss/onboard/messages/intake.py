@@ -303,7 +303,7 @@ def noise_notice(ratio: float, config: Config) -> Notice | None:
 
 def pose_notice(gap: tuple[float, float] | None) -> Notice | None:
     """Return a warning if scans contradict the covariances of their poses. ``gap``: from
-    `Mapper.pose_gap`."""
+    `Mapper.unexplained_offset`."""
     if gap is None:
         return None
     text = (

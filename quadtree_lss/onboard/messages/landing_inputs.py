@@ -179,7 +179,7 @@ class LandingRequests:
                 self.values[name] = None
 
     @property
-    def withheld(self) -> str:
+    def why_withheld(self) -> str:
         """Return why no site may be published, empty if one may."""
         reasons = [text for name, text in self.unusable.items() if topic_of(name) in BINDING]
         more = len(reasons) - MAX_LISTED
@@ -187,10 +187,10 @@ class LandingRequests:
 
     def arguments(self) -> dict[str, Any]:
         """Return keyword arguments of ``LandingSiteSelector.assess``."""
-        single = {name: self.values[name] for name in (AREA, TARGET, DISPERSION)}
+        single: dict[str, Any] = {n: self.values[n] for n in (AREA, TARGET, DISPERSION)}
         keep_outs = [v for name, v in self.values.items() if name not in single and v is not None]
-        vehicle = self.navigation.vehicle(self._frame or "")
-        return {**single, KEEP_OUTS: keep_outs, "withheld": self.withheld, "vehicle": vehicle}
+        single |= {KEEP_OUTS: keep_outs, "why_withheld": self.why_withheld}
+        return {**single, "vehicle": self.navigation.vehicle(self._frame or "")}
 
     def as_lists(self) -> dict[str, Any]:
         return {k: np.asarray(v).tolist() for k, v in self.values.items() if v is not None}

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 from quadtree_lss.onboard.core.mapping.mapper import ScanReport
 from quadtree_lss.onboard.core.sensing.pose_buffer import seconds
+from quadtree_lss.onboard.core.sensing.register import ABOVE, CONTRADICTION
 from quadtree_lss.onboard.core.tree.domain import Domain
 
 NO_POINTS_USED = "no_points_used"
@@ -21,16 +22,16 @@ REASONS = {
     "edge": "at edges, between near and far (depth images)",
     "isolated": "isolated",
     "outside": "outside the domain",
-    "above": "of scans above the lidar (poses or mount upside down)",
-    "contradiction": "contradicting the map (their pose is farther off than it claims)",
+    ABOVE: "of scans above the lidar (poses or mount upside down)",
+    CONTRADICTION: "contradicting the map (their pose is farther off than it claims)",
 }
 """Descriptions of the keys of ``ScanReport.dropped``."""
 
 
 def misplaced(report: ScanReport) -> bool:
     """Return whether no point entered the map, mostly because of position or axes."""
-    lost = report.dropped.get("outside", 0) + report.dropped.get("above", 0)
-    return not report.points_used and lost > report.dropped.get("contradiction", 0)
+    lost = report.dropped.get("outside", 0) + report.dropped.get(ABOVE, 0)
+    return not report.points_used and lost > report.dropped.get(CONTRADICTION, 0)
 
 
 def unused_points_text(report: ScanReport, domain: Domain) -> str | None:

@@ -155,7 +155,7 @@ class LssNode(BaseNode):
 
     def _why_withheld(self) -> str:
         """Return why no site may be published; empty if one may."""
-        reasons = (self._inputs.requests.withheld, self._map.withdrawal_reason())
+        reasons = (self._inputs.requests.why_withheld, self._map.withdrawal_reason())
         return "; ".join(reason for reason in reasons if reason)
 
     def _check(self) -> None:
@@ -207,7 +207,7 @@ class LssNode(BaseNode):
         self._assessed, self._withheld, self._inputs_changed = cells, withheld, False
         self._read_pose()
         start = time.perf_counter()
-        requests = {**self._inputs.requests.arguments(), "withheld": withheld}
+        requests = {**self._inputs.requests.arguments(), "why_withheld": withheld}
         try:
             self._failed = ""
             with self._target.repeated():

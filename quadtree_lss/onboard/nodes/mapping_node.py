@@ -199,7 +199,7 @@ class MappingNode(BaseNode):
     def _on_area(self, message: Any) -> None:
         try:
             check_frame(message.header.frame_id, self._frame, "polygon")
-            self._mapper.look_at(polygon_from_message(message))
+            self._mapper.set_area(polygon_from_message(message))
         except MessageError as error:
             text = f"landing/{AREA}: {error}; the domain follows the previous area"
             self._problems.report(f"{AREA}_{error.reason}", text)
@@ -400,7 +400,7 @@ class MappingNode(BaseNode):
             status.note(WARN, "the map is full (mapping.max_cells)")
         if noise := noise_notice(report.noise_ratio, config):
             status.note(WARN, noise.text)
-        if gap := pose_notice(self._mapper.pose_gap()):
+        if gap := pose_notice(self._mapper.unexplained_offset()):
             status.note(WARN, gap.text)
             if gap.reason not in self._problems.counts:
                 self._problems.report(gap.reason, gap.text)

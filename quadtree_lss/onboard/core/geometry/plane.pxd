@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 
+cdef struct PlaneParts:
+    double* normal
+    double* range_part
+    double* pose_part
+
 cdef void interleave(double* c, double* d, double* out) noexcept nogil
 cdef void congruent(double* a, double* pair, double* out) noexcept nogil
 cdef void inverse_symmetric(double* c, double* out) noexcept nogil
@@ -15,8 +20,8 @@ cdef void orient_up(double* normal) noexcept nogil
 cdef void slope_covariance(double* scatter, double* normal, double variance, double* out) noexcept nogil
 cdef void covariance_about(double* slope, double offset_variance, double first, double second, double* out) noexcept nogil
 cdef void pose_part(double* normal, double* basis, double* arm, double* sigma, double* out) noexcept nogil
-cdef void fuse(double* prior_normal, double prior_rise, double* prior_range, double* prior_pose, double* normal, double* range_part, double* pose_part, double common, double* out_rise) noexcept nogil
-cdef void fuse_height(double* normal, double rise, double* range_part, double* pose_part, double* lever, double variance, double* other_pose, double common, bint sloped, double* out_rise) noexcept nogil
+cdef double fuse(PlaneParts* plane, double rise, PlaneParts* other, double common) noexcept nogil
+cdef double fuse_height(PlaneParts* plane, double rise, double* lever, double variance, double* other_pose, double common, bint sloped) noexcept nogil
 cdef void _pivot(double* c, double rise, double* basis, double* arm, double* out) noexcept nogil
-cdef void _from_pivot(double* pair, double* pivot, double* step, double* basis, double* normal, double* range_part, double* pose_part, double* out_rise) noexcept nogil
+cdef double _from_pivot(double* pair, double* pivot, double* step, double* basis, PlaneParts* out) noexcept nogil
 cdef double _quadratic(double* scatter, double* a, double* b) noexcept nogil

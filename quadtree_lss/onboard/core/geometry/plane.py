@@ -6,9 +6,12 @@ e = (dphi_1, dphi_2, dd): dphi in the tangent at n, axes of Eq. 2, rad; dd in m.
 is the cell's centre at the plane's height. Matrices are flat, row by row: a covariance has nine
 numbers, a basis of the tangent six (the first axis, then the second), a scatter six (xx, xy, xz,
 yy, yz, zz). Two covariances C and D side by side are a pair (18): C_0, D_0, C_1, D_1, ...
+`PlaneParts` points to a normal and to the covariances from range noise and from pose error.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import cython
 from cython.cimports.libc.math import sqrt
@@ -257,16 +260,11 @@ def orthogonal_normal(scatter: Vector, normal: Vector) -> None:
     B^T S B - (n^T S n) I, or the B^T S B of Eq. 33 where that is not positive definite.
     """
     basis = cython.declare(cython.double[6])
-    first = cython.declare(cython.double[3])
-    second = cython.declare(cython.double[3])
     step = cython.declare(cython.double[2])
-    turned = cython.declare(cython.double[3])
-    cython.declare(i=cython.int, k=cython.int)
+    first = cython.declare(cython.p_double, cython.address(basis[0]))
+    second = cython.declare(cython.p_double, cython.address(basis[3]))
     for _ in range(4):
         basis_at(normal, basis)
-        for k in range(3):
-            first[k] = basis[k]
-            second[k] = basis[3 + k]
         cost = _quadratic(scatter, normal, normal)
         g0 = _quadratic(scatter, first, normal)
         g1 = _quadratic(scatter, second, normal)
@@ -282,9 +280,7 @@ def orthogonal_normal(scatter: Vector, normal: Vector) -> None:
         short = min(1.0, 0.5 / max(sqrt(step[0] * step[0] + step[1] * step[1]), 1e-300))
         step[0] *= short
         step[1] *= short
-        plus_at(normal, basis, step, turned)
-        for i in range(3):
-            normal[i] = turned[i]
+        plus_at(normal, basis, step, normal)
         orient_up(normal)
 
 
@@ -363,17 +359,7 @@ def pose_part(normal: Vector, basis: Vector, arm: Vector, sigma: Vector, out: Ve
     out[8] = total
 
 
-def fuse(
-    prior_normal: Vector,
-    prior_rise: float,
-    prior_range: Vector,
-    prior_pose: Vector,
-    normal: Vector,
-    range_part: Vector,
-    pose_part: Vector,
-    common: float,
-    out_rise: Vector,
-) -> None:
+def fuse(plane: Any, rise: float, other: Any, common: float) -> cython.double:
     """Fuse two estimates of a plane (Eq. 37 to Eq. 45); Eq. 22 does so for offsets of scans.
 
     Eq. 39 is the error of the prior about the measured plane, e = (n_prior [-] n, d_prior), its
@@ -386,9 +372,9 @@ def fuse(
     the pose parts P and Q counts in A and R, and the fused pose part is
     common ((1 - k) P + k Q) + (1 - common) ((I - K) P (I - K)^T + K Q K^T), k = K_dd.
 
-    ``prior_rise`` is the height of the prior's origin above the measured plane's, m. The fused
-    plane replaces ``normal`` and the covariances of the prior, about its own height, which is
-    ``out_rise`` (1) above the measured plane, m; the measured covariances are overwritten.
+    ``plane``: the prior, replaced by the fused plane; ``rise``: height of its origin above that of
+    the measured plane, ``other``, m. Return the height of the fused plane above the measured one,
+    m; the covariances are about it.
     """
     basis = cython.declare(cython.double[6])
     pivot = cython.declare(cython.double[3])
@@ -404,18 +390,19 @@ def fuse(
     kept = cython.declare(cython.double[18])
     taken = cython.declare(cython.double[18])
     cython.declare(i=cython.int, k=cython.int)
-    basis_at(prior_normal, basis)
-    _pivot(prior_range, prior_rise, basis, error, pivot)
-    interleave(prior_range, prior_pose, prior)
+    basis_at(plane.normal, basis)
+    _pivot(plane.range_part, rise, basis, error, pivot)
+    interleave(plane.range_part, plane.pose_part, prior)
     shift_origin(prior, error[0], error[1], 2)
     error[0] = error[1] = 0.0
-    if prior_normal[0] != normal[0] or prior_normal[1] != normal[1]:
-        minus_at(prior_normal, normal, error, change)
+    normal = other.normal
+    if plane.normal[0] != normal[0] or plane.normal[1] != normal[1]:
+        minus_at(plane.normal, normal, error, change)
         turn_tangent(prior, change, 2)
         basis_at(normal, basis)
     first = basis[0] * pivot[0] + basis[1] * pivot[1] + basis[2] * pivot[2]
     second = basis[3] * pivot[0] + basis[4] * pivot[1] + basis[5] * pivot[2]
-    interleave(range_part, pose_part, measured)
+    interleave(other.range_part, other.pose_part, measured)
     shift_origin(measured, first, second, 2)
     error[2] = normal[0] * pivot[0] + normal[1] * pivot[1] + normal[2] * pivot[2]
     for i in range(9):
@@ -441,22 +428,20 @@ def fuse(
         prior[2 * i + 1] = own + common * both
     for i in range(3):
         spread[i] = rest[3 * i] * error[0] + rest[3 * i + 1] * error[1] + rest[3 * i + 2] * error[2]
+        plane.normal[i] = normal[i]
     spread[2] -= error[2]
-    _from_pivot(prior, pivot, spread, basis, normal, prior_range, prior_pose, out_rise)
+    return _from_pivot(prior, pivot, spread, basis, plane)
 
 
 def fuse_height(
-    normal: Vector,
+    plane: Any,
     rise: float,
-    range_part: Vector,
-    pose_part: Vector,
     lever: Vector,
     variance: float,
     other_pose: Vector,
     common: float,
     sloped: cython.bint,
-    out_rise: Vector,
-) -> None:
+) -> cython.double:
     """Fuse a plane with a height that was measured at one point, without a slope (see `fuse`).
 
     With l the lever from the pivot to the point, the error of the height there is h.e, h = (-l, 1).
@@ -467,8 +452,8 @@ def fuse_height(
     ``rise`` is the height of the plane's origin above that of the parallel plane through the point,
     m; ``lever`` (2) leads from the latter to the point, along the tangent axes, m; ``variance`` is
     v, m^2, and ``other_pose`` (9), overwritten, the pose part of the parallel plane. The slope
-    changes only if ``sloped``; the covariances hold for any K. The fused plane replaces ``normal``
-    and the covariances, about its own height, ``out_rise`` (1) above the parallel plane, m.
+    changes only if ``sloped``; the covariances hold for any K. The fused plane replaces ``plane``,
+    as in `fuse`; return its height above the parallel plane, m.
     """
     basis = cython.declare(cython.double[6])
     pivot = cython.declare(cython.double[3])
@@ -479,9 +464,9 @@ def fuse_height(
     gain = cython.declare(cython.double[3])
     prior = cython.declare(cython.double[18])
     cython.declare(i=cython.int, j=cython.int, k=cython.int)
-    basis_at(normal, basis)
-    _pivot(range_part, rise, basis, step, pivot)
-    interleave(range_part, pose_part, prior)
+    basis_at(plane.normal, basis)
+    _pivot(plane.range_part, rise, basis, step, pivot)
+    interleave(plane.range_part, plane.pose_part, prior)
     shift_origin(prior, step[0], step[1], 2)
     first, second = step[0] + rise * basis[2], step[1] + rise * basis[5]
     shift_origin(other_pose, first, second, 1)
@@ -513,8 +498,8 @@ def fuse_height(
     for k in range(2):
         prior[2 + k], prior[4 + k], prior[10 + k] = prior[6 + k], prior[12 + k], prior[14 + k]
     for i in range(3):
-        step[i] = -gain[i] * normal[2] * rise
-    _from_pivot(prior, pivot, step, basis, normal, range_part, pose_part, out_rise)
+        step[i] = -gain[i] * plane.normal[2] * rise
+    return _from_pivot(prior, pivot, step, basis, plane)
 
 
 def _pivot(c: Vector, rise: float, basis: Vector, arm: Vector, out: Vector) -> None:
@@ -535,22 +520,16 @@ def _pivot(c: Vector, rise: float, basis: Vector, arm: Vector, out: Vector) -> N
 
 
 def _from_pivot(
-    pair: Vector,
-    pivot: Vector,
-    step: Vector,
-    basis: Vector,
-    normal: Vector,
-    range_part: Vector,
-    pose_part: Vector,
-    out_rise: Vector,
-) -> None:
+    pair: Vector, pivot: Vector, step: Vector, basis: Vector, out: Any
+) -> cython.double:
     """Apply a step (3) of (dphi, dd) about the pivot (3) to a plane, and move its covariances.
 
-    ``basis`` and ``normal`` become those after the step, ``range_part`` and ``pose_part`` the
-    covariances of the ``pair`` about the new height over the origin, ``out_rise`` (1) this height,
-    m. Pair and pivot are overwritten.
+    ``out.normal`` and ``basis`` become those after the step, and ``out`` receives the covariances
+    of the ``pair`` about the new height over the origin, m, which is returned. Pair and pivot are
+    overwritten.
     """
     cython.declare(i=cython.int)
+    normal, range_part, pose_part = out.normal, out.range_part, out.pose_part
     plus_at(normal, basis, step, normal)
     orient_up(normal)
     basis_at(normal, basis)
@@ -570,4 +549,4 @@ def _from_pivot(
             uncorrelate(range_part, i, max(range_part[4 * i], MIN_VARIANCE))
         if remote or pose_part[4 * i] < MIN_VARIANCE:
             uncorrelate(pose_part, i, max(pose_part[4 * i], 0.0))
-    out_rise[0] = rise
+    return rise

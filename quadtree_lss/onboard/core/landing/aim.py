@@ -304,10 +304,7 @@ def within_reach(
 
 
 def remaining_descent(
-    points: PointAssessment,
-    grid: GridSampler,
-    motion: Motion,
-    position: tuple[float, float] | None,
+    points: PointAssessment, grid: GridSampler, motion: Motion, position: tuple[float, float] | None
 ) -> Descent:
     """Return the descent to the ground at a position (x, y), m, or to the mean of all ground if the
     ground there is unknown."""

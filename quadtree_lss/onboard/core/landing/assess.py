@@ -75,7 +75,7 @@ class LandingSiteSelector:
         keep_outs: Sequence[ArrayLike] = (),
         target: ArrayLike | None = None,
         dispersion: ArrayLike | None = None,
-        withheld: str = "",
+        why_withheld: str = "",
         vehicle: Sequence[float] | None = None,
         waited: float = inf,
     ) -> LandingAssessment:
@@ -83,7 +83,7 @@ class LandingSiteSelector:
 
         Args:
             cells: The map.
-            area, keep_outs, target, withheld: As of `Restrictions`: where landing is wanted.
+            area, keep_outs, target, why_withheld: As of `Restrictions`: where landing is wanted.
             dispersion: Standard deviations of the touchdown about its aim point along x and y, m,
                 and optionally the vehicle's heading, rad, NaN for any; None for ``lss.dispersion``
                 and any heading. A heading matters only without a risk model, which was fitted to
@@ -98,14 +98,14 @@ class LandingSiteSelector:
         """
         lss, keeper = self.config.lss, self._keeper
         spread = Dispersion.from_values(dispersion, lss)
-        restrictions = Restrictions(area, keep_outs, target, withheld).checked()
+        restrictions = Restrictions(area, keep_outs, target, why_withheld).checked()
         keeper.apply_restrictions(restrictions, lss)
 
         raster = rasterise(cells, lss)
         if not raster.observed.any():
-            reason = Reason.WITHHELD if withheld else Reason.NOTHING_MAPPED
+            reason = Reason.WITHHELD if why_withheld else Reason.NOTHING_MAPPED
             return self._nothing(cells, reason, raster.unknown_bits)
-        contacts = None
+        contacts = None  # the paper's rules need none
         if self._contact_check is not None:
             heading = None if self._risk_table is not None else spread.heading
             contacts = self._contact_check.contacts(raster, raster.needs_contact, heading)
@@ -128,8 +128,8 @@ class LandingSiteSelector:
         """Return the assessment of a map without observed ground; ``bits``: hazards (n, n)."""
         lss, grid = self.config.lss, make_grid(cells.domain, self.config.lss.spacing)
         shape = (len(grid.y), len(grid.x))
-        none, never = np.full(shape, np.nan), np.zeros(shape, dtype=np.bool_)
-        ground = Candidates(grid.x, grid.y, never, none, np.ones(shape))
+        unknown, nowhere = np.full(shape, np.nan), np.zeros(shape, dtype=np.bool_)
+        ground = Candidates(grid.x, grid.y, nowhere, unknown, np.ones(shape))
         self._keeper.choose(Situation(ground, lss, lambda *_: reason, reason))
         return LandingAssessment(
             stamp_ns=cells.stamp_ns,
@@ -138,8 +138,8 @@ class LandingSiteSelector:
             x=grid.x,
             y=grid.y,
             hazard=grid.any(corner_bits(bits)),
-            safe=never,
-            score=none,
+            safe=nowhere,
+            score=unknown,
             probability=np.zeros(shape),
             risk=ground.risk,
             offset_z=cells.offset_z,

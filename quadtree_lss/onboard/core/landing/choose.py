@@ -49,7 +49,7 @@ def choose(
     """Rank sites and choose the target; updates ``keeper``. ``waited``: since the first map, s."""
     lss, cells, grid, candidates = config.lss, points.raster.cells, aims.grid, aims.candidates
     seen = aims.restrictions.observed_share(aims.hazard & hazards.UNSEEN == 0, grid.x, grid.y)
-    no_site_reason = Reason.WITHHELD if aims.restrictions.withheld else Reason.NO_SITE
+    no_site_reason = Reason.WITHHELD if aims.restrictions.why_withheld else Reason.NO_SITE
     settled = seen >= SETTLE_SHARE or waited >= lss.settle_time
     reason_at = partial(_reason_at, points, aims, lss)
     choice = keeper.choose(
@@ -218,7 +218,7 @@ def _reason_at(
 ) -> Reason:
     """Return why landing is not permitted at a grid point."""
     grid, raster = aims.grid, points.raster
-    if aims.restrictions.withheld or aims.above[row, column]:
+    if aims.restrictions.why_withheld or aims.above[row, column]:
         return Reason.WITHHELD
     if reason := aims.restrictions.reason_against(grid.x[column], grid.y[row], lss):
         return reason
@@ -232,8 +232,8 @@ def _reason_at(
 def _explanation(points: PointAssessment, aims: Aims, lss: LssConfig) -> str:
     """Return how many grid points are safe, or why there are no sites."""
     safe, raster = aims.candidates.safe, points.raster
-    if aims.restrictions.withheld:
-        return f"no site is given out: {aims.restrictions.withheld}"
+    if aims.restrictions.why_withheld:
+        return f"no site is given out: {aims.restrictions.why_withheld}"
     if aims.candidates.permitted.any():
         return f"{np.count_nonzero(safe)} of {safe.size} grid points are safe"
     if outside := aims.restrictions.outside_domain(aims.grid.x, aims.grid.y):

@@ -18,7 +18,7 @@ from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.core.tree.domain import carried
 
 #: Standard deviation of the error of a predicted probability p as a share of 1 - p, for the safest
-#: grid points on maps of simulated flights (benchmark/target.py --told).
+#: grid points on maps of simulated flights (benchmark/target.py --predicted).
 MODEL_ERROR = 0.5
 #: Two risks u <= v are equal if v - u <= MODEL_ERROR * hypot(u, v): up to v = 2.2 u ...
 EQUAL_RISKS: float = (1.0 + (1.0 - (1.0 - MODEL_ERROR**2) ** 2) ** 0.5) / (1.0 - MODEL_ERROR**2)
@@ -78,8 +78,8 @@ class Candidates:
         if self.unsafe is not None and self.clearance is not None:
             risk = float(self.unsafe.flat[first])
             equals = np.flatnonzero(left <= left[first] + equal_up_to(risk) - risk)
-            room = self.clearance.ravel()[equals]
-            clearest = equals[room == room.max()]
+            clearance = self.clearance.ravel()[equals]
+            clearest = equals[clearance == clearance.max()]
             first = int(clearest[np.argmin(left[clearest])])
         row, column = divmod(first, cost.shape[1])
         return row, column

@@ -25,13 +25,13 @@ class Restrictions:
         area: (V, 2) polygon that contains the landing zone.
         keep_outs: (V, 2) polygons that the zone does not touch.
         target: (2,) or (3,) preferred point.
-        withheld: Why no site may be published, such as an unreadable keep-out; empty if none.
+        why_withheld: Why no site may be published, such as an unreadable keep-out; empty if none.
     """
 
     area: ArrayLike | None = None
     keep_outs: Sequence[ArrayLike] = ()
     target: ArrayLike | None = None
-    withheld: str = ""
+    why_withheld: str = ""
 
     def checked(self) -> Restrictions:
         """Return these restrictions; if a polygon has fewer than three vertices, or a polygon or
@@ -46,13 +46,13 @@ class Restrictions:
                     msg = "a landing target needs two or three finite coordinates"
                     raise ValueError(f"{msg}, got {self.target!r}")
         except (TypeError, ValueError) as error:
-            return Restrictions(withheld=self.withheld or str(error))
+            return Restrictions(why_withheld=self.why_withheld or str(error))
         return self
 
     def apply_to(self, cost: Array, x: Array, y: Array, lss: LssConfig) -> None:
         """Set the cost (ny, nx) of excluded grid points to NaN, and add the cost of the distance to
         the preferred point."""
-        if self.withheld:
+        if self.why_withheld:
             cost[...] = np.nan
         if self.area is None and not self.keep_outs and self.target is None:
             return

@@ -20,11 +20,7 @@ from quadtree_lss.onboard.core.landing.lattice import (
     disc_means,
     distance_from,
 )
-from quadtree_lss.onboard.core.landing.raster import (
-    DISTANCE_CAP,
-    RELATIVE_ROUNDING,
-    TerrainRaster,
-)
+from quadtree_lss.onboard.core.landing.raster import DISTANCE_CAP, RELATIVE_ROUNDING, TerrainRaster
 from quadtree_lss.onboard.core.landing.risk import RiskTable
 
 #: Weights of Eq. 58, which the paper does not give: alpha_theta, per radian; alpha_R, per metre of
@@ -66,10 +62,7 @@ class PointAssessment:
 
 
 def assess_points(
-    raster: TerrainRaster,
-    contacts: Contacts | None,
-    table: RiskTable | None,
-    lss: LssConfig,
+    raster: TerrainRaster, contacts: Contacts | None, table: RiskTable | None, lss: LssConfig
 ) -> PointAssessment:
     """Compute risk, safety and score of each grid point.
 

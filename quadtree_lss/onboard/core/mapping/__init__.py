@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a scan does to the map (paper III, IV)."""
+"""Update of the map by scans (paper III, IV)."""

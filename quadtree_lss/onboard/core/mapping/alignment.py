@@ -52,16 +52,13 @@ MIN_LIFT = 5e-4
 #: exceeds so many standard deviations: of three degrees of freedom, one sound scan in 7,000 does.
 AGREEING_SHARE = 1.0 / 3.0
 MAX_SIGMAS = 4.5
-#: Least share of a scan's points in estimated leaves that lie in comparable ones, for a test: sound
-#: scans over simulated cliffs with up to 0.22 would be rejected.
-COMPARABLE_SHARE = 0.25
 #: A field of view narrower than the leaves touches at most so many of them.
 NARROW_CELLS = 4
 #: Consecutive, mutually consistent rejected scans that overrule the map.
 OVERRULING_SCANS = 10
 
 
-class Motion(NamedTuple):
+class RigidMotion(NamedTuple):
     """Rigid motion of a scan against the map.
 
     Attributes:
@@ -86,13 +83,13 @@ class Motion(NamedTuple):
 
 
 class Offset(NamedTuple):
-    """Height of a scan over the map, m, and its variance, m^2. ``scan``: share that is the scan's
-    error, which is subtracted from it; ``map``: share by which the map is lifted, m. ``since``:
-    mean time of the first scan in the compared planes, s."""
+    """Height of a scan over the map, m, and its variance, m^2. ``scan_part``: expected error of the
+    scan, by which it is lowered; ``map_part``: that of the map, by which the map is lifted, m.
+    ``since``: mean time of the first scan in the compared planes, s."""
 
     height: float
-    scan: float
-    map: float
+    scan_part: float
+    map_part: float
     since: float
     variance: float
 
@@ -123,7 +120,7 @@ class RejectedScans:
             self.count = 0
             return Verdict.ACCEPTED
         height = float(np.median(cells[row.RISE]))
-        variance = float(np.median(cells[row.OWN] + cells[row.OF_SCAN]))
+        variance = float(np.median(cells[row.NOISE_VARIANCE] + cells[row.SCAN_VARIANCE]))
         allowed = MAX_SIGMAS**2 * (variance + self.variance)
         agrees = self.count > 0 and (height - self.height) ** 2 <= allowed
         self.count = self.count + 1 if agrees else 1
@@ -134,17 +131,17 @@ class RejectedScans:
         return Verdict.OVERRULES
 
 
-def is_inconsistent(motion: Motion | None) -> bool:
+def is_inconsistent(motion: RigidMotion | None) -> bool:
     """Return whether a scan contradicts the map: too few cells agree, or their common motion
     exceeds `MAX_SIGMAS`. Rocks, shadows and errors of the map affect a few cells only."""
     return motion is not None and (motion.share < AGREEING_SHARE or motion.sigmas > MAX_SIGMAS)
 
 
 def is_inconsistent_narrow(finest: Array, length_unit: float) -> bool:
-    """Return the same for a scan with too few leaves for a `Motion`: whether less than
+    """Return the same for a scan with too few leaves for a `RigidMotion`: whether less than
     `AGREEING_SHARE` of its explained finest cells, of `ScanUpdate.fit_finest`, agree."""
-    height, own, of_scan, of_map = finest
-    allowed = MAX_SIGMAS**2 * (own + of_scan + of_map + FLOOR * length_unit**2)
+    height, own, scan_variance, map_variance = finest
+    allowed = MAX_SIGMAS**2 * (own + scan_variance + map_variance + FLOOR * length_unit**2)
     count = len(height)
     agreeing = int(np.count_nonzero(height**2 <= allowed))
     return count >= MIN_CELLS and agreeing < AGREEING_SHARE * count
@@ -180,9 +177,10 @@ def _agreeing_cells(
     smoothed: cython.double = SMOOTHED * length_unit * length_unit
     x = y = whole = 0.0
     for i in range(cells.shape[1]):
-        allowed = cells[row.OWN, i] + cells[row.OF_SCAN, i] + cells[row.OF_MAP, i] + floor
+        own = cells[row.NOISE_VARIANCE, i]
+        allowed = own + cells[row.SCAN_VARIANCE, i] + cells[row.MAP_VARIANCE, i] + floor
         if cells[row.RISE, i] * cells[row.RISE, i] <= limit * allowed:
-            variance = cells[row.OWN, i] + smoothed
+            variance = own + smoothed
             w = 1.0 / variance
             whole += w
             x += w * cells[row.PLACE_X, i]
@@ -271,7 +269,7 @@ def _explained_tilt(
 @cython.locals(cells=cython.double[:, :], sigma=cython.double[:, ::1])
 def rigid_motion(
     cells: Array, sigma: Array, now: float, correlation_time: float, length_unit: float = 1.0
-) -> Motion | None:
+) -> RigidMotion | None:
     """Estimate the rigid motion of a scan from cells (ROWS, M) of `ScanUpdate.fit` and test it;
     None with fewer than `MIN_CELLS`.
 
@@ -315,7 +313,7 @@ def rigid_motion(
     share: cython.double = agreeing
     share /= count
     if agreeing < MIN_CELLS:
-        return Motion(share, 0.0, (0.0, 0.0), (0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
+        return RigidMotion(share, 0.0, (0.0, 0.0), (0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
     _fit_motion(cells, kept, agreeing, work, centre, theta, normal, inverse)
     square = weights = mapped = tilted = last = 0.0
     early, late = INFINITY, -INFINITY
@@ -332,8 +330,8 @@ def rigid_motion(
             moved[12 + m] += w * y * lift[m]
         square += w * off * off
         weights += w * w
-        mapped += w * cells[row.OF_MAP, i]
-        tilted += w * cells[row.OF_SLOPE, i]
+        mapped += w * cells[row.MAP_VARIANCE, i]
+        tilted += w * cells[row.SLOPE_VARIANCE, i]
         last += w * (cells[row.LAST_TIME, i] - now)
         early = min(early, 0.5 * (cells[row.FIRST_TIME, i] + cells[row.LAST_TIME, i]))
         late = max(late, 0.5 * (cells[row.FIRST_TIME, i] + cells[row.LAST_TIME, i]))
@@ -361,9 +359,10 @@ def rigid_motion(
     for j in range(9):
         total[j] = scan[j] + noise * inverse[j]
     for j in range(3):
-        of_map = mapped if j == 0 else tilted + other * whole * inverse[4 * j]
-        apart = scan[4 * j] + of_map - 2.0 * common * sqrt(max(scan[4 * j] * of_map, 0.0))
-        total[4 * j] += max(scan[4 * j], max(of_map, apart)) - scan[4 * j]
+        by_scan = scan[4 * j]
+        by_map = mapped if j == 0 else tilted + other * whole * inverse[4 * j]
+        apart = by_scan + by_map - 2.0 * common * sqrt(max(by_scan * by_map, 0.0))
+        total[4 * j] += max(by_scan, max(by_map, apart)) - by_scan
     total[0] += FLOOR * length_unit * length_unit
     height_noise = noise * inverse[0]
     inverse_symmetric(total, inverse)
@@ -375,7 +374,7 @@ def rigid_motion(
         total[j] += excess * scan[j]
     inverse_symmetric(total, inverse)
     _explained_tilt(sigma, gain, inverse, theta, tilt)
-    return Motion(
+    return RigidMotion(
         share=share,
         height=theta[0],
         tilt=(tilt[0], tilt[1]),
@@ -414,37 +413,37 @@ def height_offset(
     weights = np.empty(count)
     weight = cython.declare(cython.double[::1], weights)
     for i in range(count):
-        weight[i] = 1.0 / (column[row.OWN, i] + model)
+        weight[i] = 1.0 / (column[row.NOISE_VARIANCE, i] + model)
     middle: cython.double = weighted_median(cells[row.RISE], weights)
-    total = height = of_scan = since = until = 0.0
+    total = height = scan_variance = since = until = 0.0
     least = INFINITY
     for i in range(count):
         away = fabs(column[row.RISE, i] - middle) * sqrt(weight[i])
         w = weight[i] * min(1.0, HUBER / max(away, HUBER))
         total += w
         height += w * column[row.RISE, i]
-        of_scan += w * column[row.OF_SCAN, i]
+        scan_variance += w * column[row.SCAN_VARIANCE, i]
         since += w * column[row.FIRST_TIME, i]
         until += w * column[row.LAST_TIME, i]
         # Relative to the scan's, because on slopes sideways errors add to both.
-        least = min(least, column[row.OF_MAP, i] / (column[row.OF_SCAN, i] + exact))
+        least = min(least, column[row.MAP_VARIANCE, i] / (column[row.SCAN_VARIANCE, i] + exact))
     height /= total
-    of_scan /= total
+    scan_variance /= total
     since /= total
     until /= total
-    of_map = (of_scan + exact) * least
+    map_variance = (scan_variance + exact) * least
     news = 1.0
     if correlation_time > 0.0:
         news -= exp(-fabs(now - until) / correlation_time)
     noise = 1.0 / total + floor
-    if height * height > jump * jump * (news * (of_scan + of_map) + noise):
+    if height * height > jump * jump * (news * (scan_variance + map_variance) + noise):
         news = 1.0
-    of_scan, of_map = news * of_scan, news * of_map
+    scan_variance, map_variance = news * scan_variance, news * map_variance
     if until > since:
-        excess = max(height * height / (jump * jump * max(of_scan, of_map, noise)), 1.0)
-        of_scan *= min(excess * excess * excess, POSE_EXCESS * POSE_EXCESS)
-    share = height / (of_scan + of_map + noise)
-    return Offset(height, share * of_scan, share * of_map, since, noise)
+        excess = max(height * height / (jump * jump * max(scan_variance, map_variance, noise)), 1.0)
+        scan_variance *= min(excess * excess * excess, POSE_EXCESS * POSE_EXCESS)
+    share = height / (scan_variance + map_variance + noise)
+    return Offset(height, share * scan_variance, share * map_variance, since, noise)
 
 
 def weighted_median(values: Array, weights: Array) -> float:
@@ -464,7 +463,7 @@ def weighted_median(values: Array, weights: Array) -> float:
     return median
 
 
-def remove_tilt(points: Array, motion: Motion) -> None:
+def remove_tilt(points: Array, motion: RigidMotion) -> None:
     """Tilt points (N, 3) about the lidar in place, m, so that the scan is parallel to the map."""
     # Rounded, as the offsets are, so that the order of the cells does not change the last bits.
     along_x, along_y, x, y = (round(value, 9) for value in (*motion.tilt, *motion.centre))

@@ -103,7 +103,8 @@ class Fusion:
         Pose error is common to both if the plane was inherited in this scan or the scan is aligned
         to the map, except the sideways error of an aligned scan, which changes heights on slopes.
         """
-        rise = cython.declare(cython.double[1])
+        prior = cython.declare(planes.PlaneParts)
+        measured = cython.declare(planes.PlaneParts)
         sideways = cython.declare(cython.double[3])
         i: cython.int
         fresh: cython.bint = leaf.state <= leaves.INCOMPLETE
@@ -129,20 +130,18 @@ class Fusion:
         if leaf.state == leaves.INHERITED:
             # An inherited slope counts as a fit as certain as it.
             leaf.bias[WEIGHT] = run.variance / (leaf.range_part[0] + leaf.range_part[4])
-        ranges, poses = leaf.range_part, leaf.pose_part
+        prior.normal = leaf.normal
+        prior.range_part, prior.pose_part = leaf.range_part, leaf.pose_part
         off = leaf.z - self.pose.origin[2] - run.z
         if run.height_only:
-            place, pose, variance = run.lever, run.pose_part, run.mean_variance
             sloped: cython.bint = run.has_slope > 0.0
-            fuse_height(
-                leaf.normal, off, ranges, poses, place, variance, pose, common, sloped, rise
-            )
+            lever, variance, pose = run.lever, run.mean_variance, run.pose_part
+            rise = fuse_height(cython.address(prior), off, lever, variance, pose, common, sloped)
         else:
-            of_range, of_pose = run.range_part, run.pose_part
-            fuse(leaf.normal, off, ranges, poses, run.normal, of_range, of_pose, common, rise)
-            for i in range(3):
-                leaf.normal[i] = run.normal[i]
-        leaf.z = run.z + self.pose.origin[2] + rise[0]
+            measured.normal, measured.range_part = run.normal, run.range_part
+            measured.pose_part = run.pose_part
+            rise = fuse(cython.address(prior), off, cython.address(measured), common)
+        leaf.z = run.z + self.pose.origin[2] + rise
         leaf.points += run.points
         leaf.bias[WEIGHT] += run.bias[WEIGHT]
         if run.bias[WEIGHT] > 0.0:

@@ -1,5 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mapping of scans into the quadtree (paper IV)."""
+"""Mapping of scans into the quadtree (paper IV), in six steps:
+
+1. ``register``: points and pose -> points about the lidar, ordered by finest cell; drops by reason
+2. ``ScanUpdate``: points -> a run of points for each touched leaf
+3. ``ScanUpdate.fit``: runs -> planes, and their heights over the map
+4. ``alignment``: heights -> the scan is accepted, rejected, or overrules the map; height offset
+5. ``ScanUpdate.update_leaves``: planes -> fused leaves, divided where a plane does not suffice
+6. ``ScanReport``: what happened to the scan
+"""
 
 from __future__ import annotations
 
@@ -13,13 +21,18 @@ from numpy.typing import ArrayLike
 from quadtree_lss.onboard.arrays import Array, Points, keep_memory
 from quadtree_lss.onboard.config.settings import DEFAULTS, Config
 from quadtree_lss.onboard.core.mapping import alignment, update
-from quadtree_lss.onboard.core.mapping.alignment import Motion, RejectedScans, Verdict
+from quadtree_lss.onboard.core.mapping.alignment import RejectedScans, RigidMotion, Verdict
 from quadtree_lss.onboard.core.mapping.measure import Rules, unobserved_parts
 from quadtree_lss.onboard.core.mapping.update import ScanUpdate
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.sensing.points import Workspace
 from quadtree_lss.onboard.core.sensing.pose_buffer import JUMP_NS
-from quadtree_lss.onboard.core.sensing.register import RegisteredScan, register
+from quadtree_lss.onboard.core.sensing.register import (
+    ABOVE,
+    CONTRADICTION,
+    RegisteredScan,
+    register,
+)
 from quadtree_lss.onboard.core.sensing.sweep import Sweep
 from quadtree_lss.onboard.core.tree import checkpoint
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -27,17 +40,17 @@ from quadtree_lss.onboard.core.tree.checkpoint import State
 from quadtree_lss.onboard.core.tree.columns import leaf_columns
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.held_returns import HeldReturns
-from quadtree_lss.onboard.core.tree.leaves import LeafTable, to_grid
+from quadtree_lss.onboard.core.tree.leaves import EXPLAINED, OBSERVED, LeafTable, to_grid
 
 #: Least number of cells of a scan for an estimate of the range noise.
 NOISE_CELLS = 3
 #: Share of a new scan in the running mean of the observed range noise.
 NOISE_SHARE = 0.1
-#: Number of scans in the median of `Mapper.pose_gap`.
-GAP_SCANS = 20
-#: Heights that exceed so many standard deviations contradict the covariances of the poses; half of
-#: `GAP_SCANS` scans do only if the errors are 4.5 times the claim.
-GAP_SIGMAS = 3.0
+#: Number of scans in the median of `Mapper.unexplained_offset`.
+OFFSET_SCANS = 20
+#: Offsets that exceed so many standard deviations contradict the covariances of the poses; half of
+#: `OFFSET_SCANS` scans do only if the errors are 4.5 times the claim.
+OFFSET_SIGMAS = 3.0
 
 
 @dataclass(frozen=True)
@@ -97,8 +110,8 @@ class Mapper:
         self._rules = Rules(config)
         self._workspace = Workspace()
         self._buffers = update.ScanBuffers()
-        # Arguments of the alignment: correlation time, s, and scale of its constants, m.
-        self._scales = config.pose.correlation_time, config.vehicle.clearance_ratio
+        self._correlation_time = config.pose.correlation_time  # of pose errors, s
+        self._length_unit = config.vehicle.clearance_ratio  # scale of the alignment's constants, m
         self.reset()
 
     @property
@@ -107,7 +120,7 @@ class Mapper:
         domain: Domain = self.leaves.domain
         return domain
 
-    def look_at(self, area: ArrayLike | None) -> None:
+    def set_area(self, area: ArrayLike | None) -> None:
         """Set the landing area (V, 2), m, that the square follows with ``domain.follow: area``,
         from the next scan on. Raises `ValueError`: it is not a polygon."""
         self._area = None
@@ -123,7 +136,8 @@ class Mapper:
         self.stamp_ns = 0
         self._start_ns = 0
         self._noise_ratio = float("nan")
-        self._offset = (float("nan"), float("nan"))
+        # Height of the last compared scan over the map by its pose, m, and its variance, m^2.
+        self._last_offset = (float("nan"), float("nan"))
         self._rejected = RejectedScans()
         # Lift of the map that is known and too small to be applied yet, m.
         self._pending_offset = 0.0
@@ -132,7 +146,7 @@ class Mapper:
         self._unmapped_scans = 0  # in a row
         # Last scans: squared height over the map, its variance from the claimed pose errors,
         # and from other causes, m^2.
-        self._gaps: deque[tuple[float, float, float]] = deque(maxlen=GAP_SCANS)
+        self._recent_offsets: deque[tuple[float, float, float]] = deque(maxlen=OFFSET_SCANS)
 
     def update(self, points_lidar: Points, pose: Pose, sweep: Sweep | None = None) -> ScanReport:
         """Map one scan.
@@ -153,7 +167,6 @@ class Mapper:
         if pose.stamp_ns < self.stamp_ns - JUMP_NS:
             self._held = HeldReturns(self.domain)
         lidar = self.config.lidar
-        # Register the points and order them by their finest cells.
         scan, dropped = register(
             points_lidar, pose, lidar, self.domain, sweep, self._held, self._workspace
         )
@@ -161,23 +174,24 @@ class Mapper:
         divisions = refused = 0
         if used:
             now = 1e-9 * (pose.stamp_ns - (self._start_ns or pose.stamp_ns))
-            # Fit the touched leaves, and decide by their height and tilt over the map.
-            change, cells, verdict = self._compare_and_decide(scan, now)
+            scan_update, cells, verdict = self._compare_and_decide(scan, now)
             if verdict is Verdict.REJECTED:
-                dropped["contradiction"], used, offset = used, 0, self._rejected.height
+                dropped[CONTRADICTION] = used
+                used, offset = 0, self._rejected.height
             else:
                 if not self.stamp_ns - JUMP_NS <= pose.stamp_ns <= self.stamp_ns:
                     self.stamp_ns = pose.stamp_ns
                 self._start_ns = self._start_ns or pose.stamp_ns
                 if not self.config.mapping.by_paper("covariance"):
-                    offset = self._align(change, cells, now)
-                change.is_new = self._is_new_view(pose, points_lidar)
-                # Fuse the fits; divide leaves where the plane does not suffice.
-                change.update_leaves()
-                self._update_noise_ratio(change.ratio)
-                divisions, refused = change.divisions, change.refused
-        if verdict is not Verdict.REJECTED and "above" not in dropped:
-            self._held.keep(scan.isolated if verdict is Verdict.ACCEPTED else None)
+                    offset = self._align(scan_update, cells, now)
+                ratio = scan_update.update_leaves(self._is_new_view(pose, points_lidar))
+                self._update_noise_ratio(ratio)
+                divisions, refused = scan_update.divisions, scan_update.refused
+        # Isolated returns wait until other scans show them, unless the pose may be wrong.
+        if verdict is not Verdict.REJECTED and ABOVE not in dropped:
+            self._held.scans += 1
+            if scan.isolated is not None and verdict is Verdict.ACCEPTED:
+                self._held.keep(scan.isolated)
         self._unmapped_scans = 0 if used else self._unmapped_scans + 1
         if used or self._unmapped_scans >= alignment.OVERRULING_SCANS:
             self._follow(pose)
@@ -198,11 +212,13 @@ class Mapper:
 
     def _is_new_view(self, pose: Pose, points_lidar: Points) -> bool:
         """Return whether a scan adds coverage, and if so remember its pose and beams."""
-        beams, time = update.sampled_beams(points_lidar), self._scales[0]
+        beams, correlation_time = update.sampled_beams(points_lidar), self._correlation_time
         if self._view is not None:
             elapsed = 1e-9 * abs(pose.stamp_ns - self._view[0].stamp_ns)
             # Share of the variance of pose errors that is new since the last view.
-            independent = 1.0 if time <= 0.0 else -math.expm1(-elapsed / time)
+            independent = 1.0
+            if correlation_time > 0.0:
+                independent = -math.expm1(-elapsed / correlation_time)
             if not update.is_new_view(pose, beams, *self._view, independent):
                 return False
         self._view = pose, beams
@@ -212,9 +228,11 @@ class Mapper:
         """Move the square towards the followed point."""
         if self.config.domain.follow == "none":
             return
-        at = self._area if self.config.domain.follow == "area" else pose.position[:2].tolist()
-        if at is not None:
-            east, north = self.domain.steps_to(*at)
+        followed = pose.position[:2].tolist()
+        if self.config.domain.follow == "area":
+            followed = self._area
+        if followed is not None:
+            east, north = self.domain.steps_to(*followed)
             if east or north:
                 self.leaves.follow(east, north)
                 cells = 1 << (self.domain.max_level - self.domain.min_level)
@@ -224,77 +242,85 @@ class Mapper:
         self, scan: RegisteredScan, now: float
     ) -> tuple[ScanUpdate, Array, Verdict]:
         """Fit a scan to the leaves and accept or reject it. If it overrules the map, lift or clear
-        the map and fit again; if it is tilted, level it and fit again. Return also the compared
+        the map and fit again; if it is tilted, level it and fit again. Return also the comparable
         cells (`ScanUpdate.fit`)."""
-        change, cells, motion = self._compare(scan, now)
-        compared, inconsistent = cells, alignment.is_inconsistent(motion)
+        scan_update, cells, motion = self._compare(scan, now)
         if motion is not None:
-            self._record_gap(cells, motion)
-        comparable = change.compared > alignment.COMPARABLE_SHARE * change.estimated
-        if not inconsistent and comparable and cells.shape[1] <= alignment.NARROW_CELLS:
-            compared = change.fit_finest()
-            inconsistent = alignment.is_inconsistent_narrow(compared, self._scales[1])
-        verdict = self._rejected.decide(compared, inconsistent)
+            self._record_offset(cells, motion)
+        inconsistent, tested_cells = alignment.is_inconsistent(motion), cells
+        is_narrow = scan_update.is_comparable and cells.shape[1] <= alignment.NARROW_CELLS
+        if is_narrow and not inconsistent:
+            tested_cells = scan_update.fit_finest()
+            inconsistent = alignment.is_inconsistent_narrow(tested_cells, self._length_unit)
+        verdict = self._rejected.decide(tested_cells, inconsistent)
         if verdict is Verdict.OVERRULES:
-            height = float(np.median(compared[update.RISE]))
+            height = float(np.median(tested_cells[update.RISE]))
             self._pending_offset = 0.0
             cells[update.RISE] -= height
-            motion = alignment.rigid_motion(cells, scan.pose.covariance, now, *self._scales)
-            if alignment.is_inconsistent(motion):
+            if alignment.is_inconsistent(self._rigid_motion(cells, scan, now)):
                 self.leaves.reset()
             else:
                 alignment.lift_map(self.leaves, height, -np.inf)
             self._held = HeldReturns(self.domain)
-            change, cells, _ = self._compare(scan, now)
-            self._gaps.clear()
+            scan_update, cells, _ = self._compare(scan, now)
+            self._recent_offsets.clear()
         elif verdict is Verdict.ACCEPTED and motion and motion.sigmas > alignment.JUMP_SIGMAS:
             alignment.remove_tilt(scan.points, motion)
-            change, cells, _ = self._compare(scan, now)
-        return change, cells, verdict
+            scan_update, cells, _ = self._compare(scan, now)
+        return scan_update, cells, verdict
 
-    def _compare(self, scan: RegisteredScan, now: float) -> tuple[ScanUpdate, Array, Motion | None]:
-        """Fit a scan to the leaves; return the update, the compared cells and their motion."""
-        change = ScanUpdate(self.leaves, self._rules, scan, now, self._buffers)
-        cells = change.fit()
-        motion = None
-        if change.compared >= alignment.COMPARABLE_SHARE * change.estimated:
-            motion = alignment.rigid_motion(cells, scan.pose.covariance, now, *self._scales)
-        return change, cells, motion
+    def _compare(
+        self, scan: RegisteredScan, now: float
+    ) -> tuple[ScanUpdate, Array, RigidMotion | None]:
+        """Fit a scan to the leaves; return the update, the comparable cells and their motion."""
+        scan_update = ScanUpdate(self.leaves, self._rules, scan, now, self._buffers)
+        cells = scan_update.fit()
+        motion = self._rigid_motion(cells, scan, now) if scan_update.is_comparable else None
+        return scan_update, cells, motion
 
-    def _record_gap(self, cells: Array, motion: Motion) -> None:
-        """Record the height of a scan over the map, accepted or not, for `pose_gap`."""
+    def _rigid_motion(self, cells: Array, scan: RegisteredScan, now: float) -> RigidMotion | None:
+        motion: RigidMotion | None = alignment.rigid_motion(
+            cells, scan.pose.covariance, now, self._correlation_time, self._length_unit
+        )
+        return motion
+
+    def _record_offset(self, cells: Array, motion: RigidMotion) -> None:
+        """Record the height of a scan over the map, accepted or not, for `unexplained_offset`."""
         values = [motion.height, motion.claimed, motion.mapped, motion.noise]
         if motion.share < alignment.AGREEING_SHARE:  # too few cells for a common height
-            rows = [update.RISE, update.OF_SCAN, update.OF_MAP, update.OWN]
+            rows = [update.RISE, update.SCAN_VARIANCE, update.MAP_VARIANCE, update.NOISE_VARIANCE]
             values = np.median(cells[rows], axis=1).tolist()
         height, claimed, mapped, noise = values
-        floor = alignment.FLOOR * self._scales[1] ** 2
-        self._gaps.append((height**2, claimed + mapped, noise + floor))
+        floor = alignment.FLOOR * self._length_unit**2
+        self._recent_offsets.append((height**2, claimed + mapped, noise + floor))
 
-    def _align(self, change: ScanUpdate, cells: Array, now: float) -> float:
+    def _align(self, scan_update: ScanUpdate, cells: Array, now: float) -> float:
         """Remove the height offset between scan and map; return it, m."""
         cells[update.RISE] -= self._pending_offset
-        offset: alignment.Offset | None = alignment.height_offset(cells, now, *self._scales)
+        offset: alignment.Offset | None = alignment.height_offset(
+            cells, now, self._correlation_time, self._length_unit
+        )
         if offset is None:
             return 0.0
         # Rounded: the order of the cells depends on where the square is, and results must not.
-        of_scan, of_map = round(offset.scan, 9), round(offset.map, 9)
-        self._pending_offset += of_map
-        if abs(self._pending_offset) >= alignment.MIN_LIFT * self._scales[1]:
+        scan_part, map_part = round(offset.scan_part, 9), round(offset.map_part, 9)
+        self._pending_offset += map_part
+        if abs(self._pending_offset) >= alignment.MIN_LIFT * self._length_unit:
             alignment.lift_map(self.leaves, self._pending_offset, round(offset.since, 9))
             self._held.lifted += self._pending_offset
             self._pending_offset = 0.0
-        self._offset = (offset.height - of_map + self._pending_offset, offset.variance)
-        change.lower(of_scan + self._pending_offset)
+        self._last_offset = (offset.height - map_part + self._pending_offset, offset.variance)
+        scan_update.lower(scan_part + self._pending_offset)
         return offset.height
 
-    def pose_gap(self) -> tuple[float, float] | None:
-        """Return the height difference of the last scans and the map, and the standard deviation
-        that the poses claim for it, m; None if the claim explains it, or with too few scans."""
-        if len(self._gaps) < GAP_SCANS:
+    def unexplained_offset(self) -> tuple[float, float] | None:
+        """Return the median height of the last scans over or under the map, and the standard
+        deviation that the poses claim for it, m; None if the claim explains it, or with too few
+        scans."""
+        if len(self._recent_offsets) < OFFSET_SCANS:
             return None
-        square, claimed, other = np.median(np.array(self._gaps), axis=0).tolist()
-        if square <= GAP_SIGMAS**2 * (claimed + other):
+        square, claimed, other = np.median(np.array(self._recent_offsets), axis=0).tolist()
+        if square <= OFFSET_SIGMAS**2 * (claimed + other):
             return None
         return math.sqrt(square), math.sqrt(claimed)
 
@@ -312,20 +338,20 @@ class Mapper:
     def snapshot(self) -> CellMap:
         """Return a copy of the map."""
         rows, observed = self.leaves.rows_in_morton_order(), to_grid(self.leaves.observed)
-        range_part = np.empty((len(rows), 9))
-        unobserved_parts(self.leaves, rows, range_part)
+        unobserved_covariance = np.empty((len(rows), 9))
+        unobserved_parts(self.leaves, rows, unobserved_covariance)
         return CellMap(
             stamp_ns=self.stamp_ns,
             domain=self.domain,
-            observed=observed > 0,
-            known=observed > 1,
-            offset_z=self._offset[0],
-            offset_variance=self._offset[1],
-            **leaf_columns(self.leaves, rows, range_part),
+            observed=observed >= OBSERVED,
+            known=observed >= EXPLAINED,
+            offset_z=self._last_offset[0],
+            offset_variance=self._last_offset[1],
+            **leaf_columns(self.leaves, rows, unobserved_covariance),
         )
 
     def _arrays(self) -> State:
-        """Arrays of the state whose shape does not change, not copies."""
+        """Arrays of the state whose shape does not scan_update, not copies."""
         return {
             "observed": self.leaves.observed,
             "piled": self.leaves.piled,
@@ -347,9 +373,9 @@ class Mapper:
             "stamp_ns": np.array(self.stamp_ns),
             "start_ns": np.array(self._start_ns),
             "noise_ratio": np.array(self._noise_ratio),
-            "offset": np.array(self._offset),
-            "against": np.array(astuple(self._rejected), dtype=np.float64),
-            "owed": np.array(self._pending_offset),
+            "last_offset": np.array(self._last_offset),
+            "rejected_scans": np.array(astuple(self._rejected), dtype=np.float64),
+            "pending_offset": np.array(self._pending_offset),
         }
 
     def import_state(self, state: State) -> None:
@@ -368,9 +394,9 @@ class Mapper:
         self.stamp_ns = int(state["stamp_ns"])
         self._start_ns = int(state["start_ns"])
         self._noise_ratio = float(state["noise_ratio"])
-        self._offset = tuple(state["offset"].tolist())
-        self._pending_offset = float(state["owed"])
-        count, *last = state["against"].tolist()
+        self._last_offset = tuple(state["last_offset"].tolist())
+        self._pending_offset = float(state["pending_offset"])
+        count, *last = state["rejected_scans"].tolist()
         self._rejected = RejectedScans(int(count), *last)
 
 

@@ -283,14 +283,10 @@ def measure(
             run.scatter, -prior[0] / prior[2], -prior[1] / prior[2], square, run.normal
         )
         if rules.ml and count > 3.0:
-            first = run.normal[0]
-            second = run.normal[1]
-            up = run.normal[2]
+            first, second, up = run.normal[0], run.normal[1], run.normal[2]
             plane.orthogonal_normal(run.scatter, run.normal)
             if run.normal[2] < OVERTURNED * up:
-                run.normal[0] = first
-                run.normal[1] = second
-                run.normal[2] = up
+                run.normal[0], run.normal[1], run.normal[2] = first, second, up
     # Computed early: reading two fresh stores as one vector stalls (store forwarding).
     basis_at(run.normal, basis)
     up = run.normal[2]
@@ -367,9 +363,8 @@ def unobserved_parts(table: LeafTable, rows: Index, out: Array) -> None:
     """
     basis = cython.declare(cython.double[6])
     slope = cython.declare(cython.double[4])
-    part = cython.declare(cython.double[9])
-    cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t, j=cython.int, first=cython.Py_ssize_t)
-    cython.declare(number=cython.Py_ssize_t, seen=cython.Py_ssize_t)
+    cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t, down=cython.int)
+    cython.declare(first=cython.Py_ssize_t, number=cython.Py_ssize_t, seen=cython.Py_ssize_t)
     observed = table.seen
     with cython.nogil:
         for i in range(rows.shape[0]):
@@ -379,16 +374,15 @@ def unobserved_parts(table: LeafTable, rows: Index, out: Array) -> None:
             slope[1] = slope[2] = leaf.bias[1]
             slope[3] = leaf.bias[2]
             lift = leaf.bias[LIFT] * leaf.bias[LIFT]
-            j = 2 * (table.max_level - leaf.level)
-            number = 1 << j
-            first = encode(leaf.ix, leaf.iy) << j
+            part = cython.address(out[i, 0])
+            down = 2 * (table.max_level - leaf.level)
+            number = 1 << down
+            first = encode(leaf.ix, leaf.iy) << down
             seen = 0
             for k in range(first, first + number):
                 seen += 1 if observed[k] else 0
             if seen == 0 or seen == number or leaf.state != ESTIMATED:
                 plane.covariance_about(slope, lift, 0.0, 0.0, part)
-                for j in range(9):
-                    out[i, j] = part[j]
                 continue
             sx = sy = sxx = sxy = syy = 0.0
             for k in range(number):
@@ -415,11 +409,8 @@ def unobserved_parts(table: LeafTable, rows: Index, out: Array) -> None:
             )
             wide = min(max(wide / across, 0.0), 1.0)
             side = table.sides[leaf.level]
-            tilt = (
-                wide
-                * wide
-                * (UNOBSERVED_TILT * UNOBSERVED_TILT + 12.0 * leaf.parent_misfit / (side * side))
-            )
+            tilt = UNOBSERVED_TILT * UNOBSERVED_TILT + 12.0 * leaf.parent_misfit / (side * side)
+            tilt *= wide * wide
             slope[0] += tilt
             slope[3] += tilt
             side /= across
@@ -428,12 +419,6 @@ def unobserved_parts(table: LeafTable, rows: Index, out: Array) -> None:
             z = -(leaf.normal[0] * x + leaf.normal[1] * y)
             z /= leaf.normal[2]
             basis_at(leaf.normal, basis)
-            plane.covariance_about(
-                slope,
-                lift,
-                basis[0] * x + basis[1] * y + basis[2] * z,
-                basis[3] * x + basis[4] * y + basis[5] * z,
-                part,
-            )
-            for j in range(9):
-                out[i, j] = part[j]
+            along = basis[0] * x + basis[1] * y + basis[2] * z
+            across = basis[3] * x + basis[4] * y + basis[5] * z
+            plane.covariance_about(slope, lift, along, across, part)

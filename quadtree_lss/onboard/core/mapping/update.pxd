@@ -6,8 +6,8 @@ from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run
 from quadtree_lss.onboard.core.tree.leaves cimport Leaf, LeafTable
 
 cpdef enum:  # rows of `ScanUpdate.fit`
-    RISE, OWN, OF_SCAN, OF_MAP, FIRST_TIME, LAST_TIME,
-    PLACE_X, PLACE_Y, PLACE_Z, SLOPE_X, SLOPE_Y, OF_SLOPE, ROWS
+    RISE, NOISE_VARIANCE, SCAN_VARIANCE, MAP_VARIANCE, FIRST_TIME, LAST_TIME,
+    PLACE_X, PLACE_Y, PLACE_Z, SLOPE_X, SLOPE_Y, SLOPE_VARIANCE, ROWS
 
 cdef void set_states(unsigned char[::1] seen, long long[::1] key, Py_ssize_t begin, Py_ssize_t end, unsigned char state) noexcept nogil
 
@@ -34,14 +34,11 @@ cdef class ScanUpdate:
     cdef Run[::1] runs
     cdef Py_ssize_t[::1] rows
     cdef Py_ssize_t[::1] begins
-    cdef public bint is_new
-    cdef readonly object ratio
-    cdef double[:, ::1] ratios
+    cdef bint is_new
     cdef readonly Py_ssize_t cells
     cdef Py_ssize_t noise_count
     cdef readonly Py_ssize_t divisions
-    cdef readonly Py_ssize_t estimated
-    cdef readonly Py_ssize_t compared
+    cdef readonly bint is_comparable
     cdef readonly Py_ssize_t refused
     cdef void _assume_level(self, Leaf* leaf) noexcept nogil
     cdef void _measure(self, Leaf* leaf, Py_ssize_t begin, Py_ssize_t end, Run* run) noexcept nogil

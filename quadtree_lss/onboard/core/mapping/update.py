@@ -11,10 +11,12 @@ from cython.cimports.quadtree_lss.onboard.core.geometry.plane import offset_vari
 from cython.cimports.quadtree_lss.onboard.core.mapping import division, measure
 from cython.cimports.quadtree_lss.onboard.core.mapping import update as row
 from cython.cimports.quadtree_lss.onboard.core.mapping.features import update_feature
-from cython.cimports.quadtree_lss.onboard.core.mapping.update import OF_MAP as OF_MAP
-from cython.cimports.quadtree_lss.onboard.core.mapping.update import OF_SCAN as OF_SCAN
-from cython.cimports.quadtree_lss.onboard.core.mapping.update import OWN as OWN
+from cython.cimports.quadtree_lss.onboard.core.mapping.update import MAP_VARIANCE as MAP_VARIANCE
+from cython.cimports.quadtree_lss.onboard.core.mapping.update import (
+    NOISE_VARIANCE as NOISE_VARIANCE,
+)
 from cython.cimports.quadtree_lss.onboard.core.mapping.update import RISE as RISE
+from cython.cimports.quadtree_lss.onboard.core.mapping.update import SCAN_VARIANCE as SCAN_VARIANCE
 from cython.cimports.quadtree_lss.onboard.core.tree import leaves
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Keys, Points
@@ -46,6 +48,9 @@ MIN_NORMAL_Z = cython.declare(cython.double, 0.866)
 #: Standard deviations of pose errors by which the beams must move for a new view (`is_new_view`):
 #: errors of six degrees of freedom exceed it in 1 of 2,000 scans.
 NEW_VIEW_SIGMAS = cython.declare(cython.double, 2.0)
+#: Least share of a scan's points in estimated leaves that lie in comparable ones, for a test: sound
+#: scans over simulated cliffs with up to 0.22 would be rejected.
+COMPARABLE_SHARE = cython.declare(cython.double, 0.25)
 #: Number of beams of a scan that are compared.
 BEAMS = 16
 #: Greatest height of a plane at a cell's centre, m.
@@ -104,8 +109,8 @@ def is_new_view(
 
 class ScanBuffers:
     """Memory of a scan's points and cells, reused by the next scan (allocation took 5 % of a scan):
-    first point and row of each cell, residual of each point, m, ``ratio`` of `ScanUpdate`, work
-    space of `features.update_feature`, and a `RUN` for each cell."""
+    first point and row of each cell, residual of each point, m, result of
+    `ScanUpdate.update_leaves`, work space of `features.update_feature`, a `RUN` for each cell."""
 
     def __init__(self) -> None:
         self.points = self.cells = -1
@@ -131,11 +136,9 @@ class ScanUpdate:
     """Update of a leaf table by one scan: `fit`, `lower` if it is aligned, then `update_leaves`.
 
     Attributes:
-        is_new: Whether it is a new view, which adds coverage.
-        estimated, compared: Points in estimated leaves, and in those of them that `fit` compares.
+        is_comparable: Whether at least `COMPARABLE_SHARE` of the points in estimated leaves lie in
+            those that `fit` compares.
         divisions, refused: Number of divisions, and of divisions beyond ``max_cells``.
-        ratio: (2, R) for the cells with an estimate of the range noise: observed over configured
-            standard deviation, and points. Valid until the next scan.
     """
 
     def __init__(
@@ -150,8 +153,7 @@ class ScanUpdate:
         self.buffers = buffers
         self.buffers.reserve_points(count)
         self.residual = self.buffers.residual
-        self.is_new = True
-        self.divisions = self.refused = self.noise_count = self.estimated = self.compared = 0
+        self.divisions = self.refused = self.noise_count = 0
         self._find_runs()
 
     def _find_runs(self) -> None:
@@ -184,14 +186,15 @@ class ScanUpdate:
     def fit(self) -> Array:
         """Fit a plane to the scan in each touched leaf; return the M comparable ones, (ROWS, M).
 
-        The rows are `RISE`: height of the scan over the map, m; `OWN`: its
-        variance without pose errors, m^2; `OF_SCAN`, `OF_MAP`: variance of either height from pose
-        errors, m^2; `FIRST_TIME`, `LAST_TIME`: of the scans in the map's plane, s; `PLACE_X`,
+        The rows are `RISE`: height of the scan over the map, m; `NOISE_VARIANCE`: its variance
+        without pose errors, m^2; `SCAN_VARIANCE`, `MAP_VARIANCE`: variance of either height from
+        pose errors, m^2; `FIRST_TIME`, `LAST_TIME`: of the scans in the map's plane, s; `PLACE_X`,
         `PLACE_Y`, `PLACE_Z`: of the cell about the lidar, m; `SLOPE_X`, `SLOPE_Y`: of the map's
-        plane; `OF_SLOPE`: variance of either from pose errors.
+        plane; `SLOPE_VARIANCE`: variance of either from pose errors.
         """
         i: cython.Py_ssize_t
         found: cython.Py_ssize_t = 0
+        estimated = compared = 0.0
         out = np.empty((row.ROWS, self.cells))
         self.columns = out
         with cython.nogil:
@@ -205,15 +208,16 @@ class ScanUpdate:
                 run = cython.address(self.runs[i])
                 self._measure(leaf, self.begins[i], self.begins[i + 1], run)
                 if leaf.state == leaves.ESTIMATED:
-                    self.estimated += self.begins[i + 1] - self.begins[i]
+                    estimated += self.begins[i + 1] - self.begins[i]
                 if self._comparable(leaf):
-                    self.compared += self.begins[i + 1] - self.begins[i]
+                    compared += self.begins[i + 1] - self.begins[i]
                     self._write_comparison(leaf, run, found)
                     found += 1
+        self.is_comparable = compared >= COMPARABLE_SHARE * estimated
         return out[:, :found]
 
     def fit_finest(self) -> Array:
-        """Return `RISE` to `OF_MAP` as (4, M), for the mean in each explained finest cell."""
+        """Return `RISE` to `MAP_VARIANCE` as (4, M), for the mean in each explained finest cell."""
         cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t)
         found: cython.Py_ssize_t = 0
         out = np.empty((4, len(self.key)))
@@ -237,9 +241,9 @@ class ScanUpdate:
                     if self.table.seen[self.key[k]] == leaves.EXPLAINED:
                         own = run.variance / count + leaf.range_part[8]
                         self.columns[row.RISE, found] = total / count
-                        self.columns[row.OWN, found] = own / (up * up) + max(misfit, 0.0)
-                        self.columns[row.OF_SCAN, found] = run.pose_part[8] / (up * up)
-                        self.columns[row.OF_MAP, found] = leaf.pose_part[8] / (up * up)
+                        self.columns[row.NOISE_VARIANCE, found] = own / (up * up) + max(misfit, 0.0)
+                        self.columns[row.SCAN_VARIANCE, found] = run.pose_part[8] / (up * up)
+                        self.columns[row.MAP_VARIANCE, found] = leaf.pose_part[8] / (up * up)
                         found += 1
                     total = count = 0.0
         return out[:, :found]
@@ -263,12 +267,12 @@ class ScanUpdate:
             self.columns[row.RISE, at] = place[2]
         seen = max(1.0 - run.unobserved, 0.1)
         own += self.rules.uneven * (1.0 / (seen * seen) - 1.0)
-        self.columns[row.OWN, at] = own / square + max(misfit, 0.0)
+        self.columns[row.NOISE_VARIANCE, at] = own / square + max(misfit, 0.0)
         pose = run.pose_part[8]
         if self.rules.independent:  # no part of a plane, but of the scan
             pose = measure.pose_variance(leaf.normal, run.centroid, self.fusion.pose.sigma)
-        self.columns[row.OF_SCAN, at] = pose / square
-        self.columns[row.OF_MAP, at] = leaf.pose_part[8] / square
+        self.columns[row.SCAN_VARIANCE, at] = pose / square
+        self.columns[row.MAP_VARIANCE, at] = leaf.pose_part[8] / square
         self.columns[row.FIRST_TIME, at] = leaf.first_time
         self.columns[row.LAST_TIME, at] = leaf.last_time
         self.columns[row.PLACE_X, at] = leaf.x - self.fusion.pose.origin[0]
@@ -277,18 +281,21 @@ class ScanUpdate:
         self.columns[row.SLOPE_X, at] = -leaf.normal[0] / leaf.normal[2]
         self.columns[row.SLOPE_Y, at] = -leaf.normal[1] / leaf.normal[2]
         tilt = 0.5 * (leaf.pose_part[0] + leaf.pose_part[4])
-        self.columns[row.OF_SLOPE, at] = tilt / (square * square)
+        self.columns[row.SLOPE_VARIANCE, at] = tilt / (square * square)
 
     def lower(self, down: float) -> None:
         """Lower the scan by ``down``, m."""
         self.fusion.pose.origin[2] -= down
         self.fusion.aligned = True
 
-    def update_leaves(self) -> None:
-        """Fuse the fits, divide where a plane does not suffice, update residual statistics."""
+    def update_leaves(self, is_new: cython.bint) -> Array:
+        """Fuse the fits, divide where a plane does not suffice, update residual statistics.
+        ``is_new``: it is a new view, which adds coverage. Return (2, R) for the cells with an
+        estimate of the range noise, valid until the next scan: observed over configured standard
+        deviation, and points."""
         cython.declare(i=cython.Py_ssize_t, begin=cython.Py_ssize_t, end=cython.Py_ssize_t)
         cython.declare(levels=cython.Py_ssize_t)
-        self.ratios = self.buffers.ratio
+        self.is_new = is_new
         with cython.nogil:
             for i in range(self.cells):
                 self.table.prefetch_leaf(self.rows[min(i + 4, self.cells - 1)])
@@ -304,7 +311,7 @@ class ScanUpdate:
                         with cython.gil:
                             self.table.reserve(levels)
                 self._update_leaf(self.rows[i], begin, end, run, False)
-        self.ratio = np.asarray(self.ratios)[:, : self.noise_count]
+        return np.asarray(self.buffers.ratio)[:, : self.noise_count]
 
     def _assume_level(self, leaf: Record) -> None:
         """Start with level ground in a leaf without any information."""
@@ -401,12 +408,10 @@ class ScanUpdate:
             self._raise_states(begin, end, leaves.OBSERVED)
             return
         if not fresh:
-            moved = fabs(leaf.normal[0] / leaf.normal[2] - x / up)
-            moved += fabs(leaf.normal[1] / leaf.normal[2] - y / up)
+            turn_x = x / up - leaf.normal[0] / leaf.normal[2]
+            turn_y = y / up - leaf.normal[1] / leaf.normal[2]
             most = MOVED_SHARE * division.unexplained_distance(self.rules, leaf, run.variance)
-            if fabs(leaf.z - z) + 0.5 * side * moved > most:
-                turn_x = x / up - leaf.normal[0] / leaf.normal[2]
-                turn_y = y / up - leaf.normal[1] / leaf.normal[2]
+            if fabs(leaf.z - z) + 0.5 * side * (fabs(turn_x) + fabs(turn_y)) > most:
                 if not self.table.unmark_moved(leaf, leaf.z - z, turn_x, turn_y, most):
                     leaf.low, leaf.high = INFINITY, -INFINITY
         if leaf.state != leaves.ESTIMATED:
@@ -484,10 +489,8 @@ class ScanUpdate:
         cython.declare(i=cython.Py_ssize_t)
         out = count = 0.0
         self._record_hits(begin, end)
-        points, residual = (
-            cython.address(self.points[begin, 0]),
-            cython.address(self.residual[begin]),
-        )
+        points = cython.address(self.points[begin, 0])
+        residual = cython.address(self.residual[begin])
         division.add_residuals(self.rules, leaf, run, points, residual, self.fusion.pose.origin)
         if run.max_residual <= run.raised_limit:
             set_states(self.table.seen, self.key, begin, end, leaves.EXPLAINED)
@@ -531,13 +534,11 @@ class ScanUpdate:
     ) -> None:
         """Update the residual statistics and the feature of a leaf."""
         if run.points >= NOISE_POINTS and leaf.normal[2] >= MIN_NORMAL_Z:
-            self.ratios[0, self.noise_count] = sqrt(run.square / run.variance)
-            self.ratios[1, self.noise_count] = run.points
+            self.buffers.ratio[0, self.noise_count] = sqrt(run.square / run.variance)
+            self.buffers.ratio[1, self.noise_count] = run.points
             self.noise_count += 1
         self._update_residuals(leaf, begin, end, run)
-        points, residual = (
-            cython.address(self.points[begin, 0]),
-            cython.address(self.residual[begin]),
-        )
+        points = cython.address(self.points[begin, 0])
+        residual = cython.address(self.residual[begin])
         origin, side = self.fusion.pose.origin, self.table.sides[leaf.level]
         update_feature(self.rules, leaf, run, points, residual, origin, side, self.buffers.heights)

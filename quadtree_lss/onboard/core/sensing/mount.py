@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -19,28 +20,22 @@ OPTICAL_FROM_FLU = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]
 AXES = {"same": np.eye(3), "flu_to_optical": OPTICAL_FROM_FLU, "optical_to_flu": OPTICAL_FROM_FLU.T}
 
 
+@dataclass
 class MountedPoses:
     """Lidar poses from body poses and the mount, with the interface of `PoseBuffer`.
 
-    Args:
+    Attributes:
         body: Poses of the body; their ``rotation_map_lidar`` is map from body.
         mount: Pose of the lidar in body axes, or a buffer of such poses (gimbal); None until it is
             known.
-        gimbal_topic: Topic of the gimbal, for messages.
-        explain_missing: Returns why the mount is not known, for messages.
+        gimbal_topic, explain_missing: For messages: topic of the gimbal, and a function that
+            returns why the mount is not known.
     """
 
-    def __init__(
-        self,
-        body: PoseBuffer,
-        mount: Pose | PoseBuffer | None,
-        gimbal_topic: str = "lidar/gimbal",
-        explain_missing: Callable[[], str] = str,
-    ) -> None:
-        self.body = body
-        self.mount = mount
-        self.gimbal_topic = gimbal_topic
-        self.explain_missing = explain_missing
+    body: PoseBuffer
+    mount: Pose | PoseBuffer | None
+    gimbal_topic: str = "lidar/gimbal"
+    explain_missing: Callable[[], str] = str
 
     @property
     def _buffers(self) -> list[PoseBuffer]:

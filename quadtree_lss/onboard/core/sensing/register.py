@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from quadtree_lss.onboard.core.tree.domain import Domain
     from quadtree_lss.onboard.core.tree.held_returns import HeldReturns, IsolatedReturns
 
+#: Reasons for dropping all points: most lie above the lidar; the scan contradicts the map.
+ABOVE, CONTRADICTION = "above", "contradiction"
 #: Greatest height of a lidar, m: ranges are at most 1e6 m, and map heights less than `MAX_HEIGHT`.
 HIGHEST = MAX_HEIGHT - 2e6
 
@@ -113,7 +115,7 @@ def register(
         "isolated": len(isolated),
         "outside": valid - inside,
     }
-    return scan, dropped | ({"above": above} if above else {})
+    return scan, dropped | ({ABOVE: above} if above else {})
 
 
 def _insert_admitted(

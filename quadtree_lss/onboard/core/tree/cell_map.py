@@ -44,17 +44,6 @@ class Ground(NamedTuple):
     deviation: Array
 
 
-class Profile(NamedTuple):
-    """The ground along a line, arrays (K,); distance from the start, m."""
-
-    distance: Array
-    x: Array
-    y: Array
-    height: Array
-    slope_deg: Array
-    deviation: Array
-
-
 @dataclass(frozen=True, repr=False)
 class CellMap:
     """The published map: one row per leaf in Morton order, map frame, m and rad.
@@ -165,24 +154,6 @@ class CellMap:
         normal = self.normal[leaf]
         along = normal[..., 0] * (x - self.x[leaf]) + normal[..., 1] * (y - self.y[leaf])
         return clamp_heights(self.z[leaf] - along / normal[..., 2], self.low[leaf], self.high[leaf])
-
-    def profile(self, start: ArrayLike, end: ArrayLike, step: float | None = None) -> Profile:
-        """Sample the ground along the straight line from ``start`` to ``end``, (2,) x and y, map
-        frame, m, both included. ``step``: distance of the samples, m; by default half a finest
-        cell. Raises `ValueError`: a place is no pair of finite numbers, or ``step`` not positive.
-        """
-        first, last = np.asarray(start, np.float64), np.asarray(end, np.float64)
-        if first.shape != (2,) or last.shape != (2,) or not np.isfinite([first, last]).all():
-            msg = "start and end of a profile are pairs (x, y) of finite numbers"
-            raise ValueError(msg)
-        step = 0.5 * self.domain.finest_size if step is None else step
-        if not step > 0.0:
-            msg = f"step = {step} m is not positive"
-            raise ValueError(msg)
-        length = float(np.hypot(*(last - first)))
-        distance = np.linspace(0.0, length, int(np.ceil(length / step)) + 1)
-        x, y = (first + (distance / (length or 1.0))[:, None] * (last - first)).T
-        return Profile(distance, x, y, *self.at(x, y))
 
     def leaf_raster(self) -> Ints:
         """(n, n) [iy, ix] row of the leaf that covers each finest cell."""

@@ -16,7 +16,7 @@ from quadtree_lss.onboard.core.tree.leaves import ESTIMATED, LEAF, leaf_raster
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 #: Increases whenever the arrays of `Mapper.export_state` change their meaning.
-FORMAT = 10
+FORMAT = 11
 
 #: Tolerance of a principal minor of a correlation matrix. Fusion leaves this much when the pose
 #: variance is up to 10^18 times the range variance.

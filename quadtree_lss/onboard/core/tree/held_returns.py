@@ -78,11 +78,8 @@ class HeldReturns:
         count = find_shown(self, gate, cell, height, shown, admitted)
         return IsolatedReturns(cell, height, shown, np.unique(admitted[:count]))
 
-    def keep(self, found: IsolatedReturns | None) -> None:
-        """Count a scan that entered the map, and keep its isolated returns."""
-        self.scans += 1
-        if found is None:
-            return
+    def keep(self, found: IsolatedReturns) -> None:
+        """Keep the isolated returns of the last of ``scans``."""
         shown = self.shown.reshape(-1)
         shown[found.admitted] = SHOWN
         # Of one cell, the one shown most is the last.

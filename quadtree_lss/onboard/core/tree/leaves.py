@@ -19,12 +19,9 @@ from cython.cimports.quadtree_lss.onboard.core.geometry.morton import encode, pr
 from cython.cimports.quadtree_lss.onboard.core.geometry.plane import shift_origin
 from cython.cimports.quadtree_lss.onboard.core.geometry.sphere import basis_at
 from cython.cimports.quadtree_lss.onboard.core.tree.leaves import ESTIMATED as ESTIMATED
-from cython.cimports.quadtree_lss.onboard.core.tree.leaves import (
-    INHERITED,
-    OBSERVED,
-    UNEXPLAINED,
-    UNKNOWN,
-)
+from cython.cimports.quadtree_lss.onboard.core.tree.leaves import EXPLAINED as EXPLAINED
+from cython.cimports.quadtree_lss.onboard.core.tree.leaves import INHERITED, UNEXPLAINED, UNKNOWN
+from cython.cimports.quadtree_lss.onboard.core.tree.leaves import OBSERVED as OBSERVED
 from numpy.typing import NDArray
 
 from quadtree_lss.onboard.arrays import Bytes, Index, Ints, Mask, Numbers
