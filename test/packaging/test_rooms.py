@@ -57,6 +57,7 @@ for _line in ORDER.split("\n")[1:-1]:
 WINGS = ("onboard", "desk", "lab")
 #: What a vehicle has: a wing that flies needs nothing else.
 ON_A_VEHICLE = {"numpy", "scipy", "yaml", "cython", "rclpy"}
+ON_A_VEHICLE |= {"pandas"}  # only if a user calls Sites.to_dataframe
 
 
 def room(module: str) -> str:

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 import quadtree_lss
 from quadtree_lss import build
@@ -24,7 +23,7 @@ from quadtree_lss.desk.replay.assessments import History, TargetChange
 from quadtree_lss.desk.replay.configuration import dump_config
 from quadtree_lss.desk.replay.files import ReplayError, plain
 from quadtree_lss.onboard.config.settings import Config, values_from_config
-from quadtree_lss.onboard.core.landing.result import LandingAssessment, Sites
+from quadtree_lss.onboard.core.landing.result import LandingAssessment
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.messages.lost_points import REASONS, domain_text, lost_points_text
@@ -76,6 +75,9 @@ class ReplayResult:
         state = ", interrupted" if self.interrupted else ""
         folder = "" if self.out is None else f", in {self.out}"
         return f"<ReplayResult: {len(self.timings)} scans{state}{folder}; {self.assessment}>"
+
+    def _repr_html_(self) -> str:
+        return self.assessment._repr_html_()
 
     def as_dict(self) -> dict[str, Any]:
         columns = dict(vars(self.assessment.sites))
@@ -141,7 +143,8 @@ def write_results(
 ) -> None:
     """Write a results folder; ``report`` adds page and figures. Raises `ReplayError`: it cannot be
     written."""
-    sites = site_columns(result.assessment.sites)
+    sites = result.assessment.sites.columns()
+    del sites["reason"]
     with files.writing(out, ReplayError):
         rows = zip(*(column.tolist() for column in sites.values()), strict=True)
         files.write_csv(out / "sites.csv", sites, rows)
@@ -156,15 +159,6 @@ def write_results(
         _remove_report(out)
         if report:
             write_report(out)
-
-
-def site_columns(sites: Sites) -> dict[str, NDArray[Any]]:
-    """Return the columns of ``sites.csv`` by name."""
-    positions = {axis: sites.position[:, k] for k, axis in enumerate("xyz")}
-    normals = {f"n{axis}": sites.normal[:, k] for k, axis in enumerate("xyz")}
-    names = "score slope_deg roughness hazard_distance subscale_height id probability".split()
-    values = {name: getattr(sites, name) for name in names}
-    return {"rank": np.arange(1, len(sites) + 1), **positions, **normals, **values}
 
 
 def write_report(out: Path) -> None:
