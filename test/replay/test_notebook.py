@@ -28,7 +28,9 @@ def test_notebooks_show_rank_position_and_probability_of_each_site(result):
         np.testing.assert_array_equal(values["rank"].astype(int), np.arange(1, len(sites) + 1))
         positions = np.column_stack([values[axis].astype(float) for axis in "xyz"])
         np.testing.assert_allclose(positions, sites.position, atol=6e-5)
-        np.testing.assert_allclose(values["probability"].astype(float), sites.probability, atol=6e-5)
+        np.testing.assert_allclose(
+            values["probability"].astype(float), sites.probability, atol=6e-5
+        )
 
 
 def test_a_dataframe_has_rank_position_and_probability_of_each_site(result, monkeypatch):
