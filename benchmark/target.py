@@ -215,7 +215,7 @@ def fly(simulation: Simulation, config: Config, every: int, period: float) -> Ta
                 move = _move(now, target, chosen.position, truth)
                 tally.moves.append(replace(move, follows=was_withdrawn))
             target, was_withdrawn = chosen.position, False
-        elif target is not None and chosen.reason in WITHDRAWAL_REASONS:
+        elif target is not None and not was_withdrawn and chosen.reason in WITHDRAWAL_REASONS:
             was_withdrawn = True
             tally.lost.append(_move(now, target, target, truth))
     assert truth is not None

@@ -81,7 +81,7 @@ def test_the_pointer_tells_values_and_layers_differ(result, best, browse):
     assert len(set(told["colours"].values())) >= 5
     legends = told["legends"]
     assert "Outlines do not exclude landing" in legends["hazards"][0]
-    assert "Without the touchdown dispersion (lss.dispersion)" in legends["landing"][0]
+    assert "touchdowns off the aim (lss.dispersion)" in legends["landing"][0]
     assert "excluded" in legends["score"][0] and len(legends["score"][1]) > 2
     assert legends["cells"][1] == [-1, 0, 1, 2]  # binary logarithms of 0.5 m to 4 m
 

@@ -45,7 +45,7 @@ def targeted(content, away, probability=0.995, why="target 3 (99.5 %): first cho
     x, y, z = content.positions[0]
     targets = content.history["target"].copy()
     targets[-2:, 0], targets[-1] = 0.0, (3.0, x + away, y, z, probability)
-    reason = f"probability {shown(probability)}; 80 % of the risk comes from obstacles (greatest"
+    reason = f"probability {shown(probability)}; 80 % of the risk comes from obstacles (mostly"
     reason += " 3.1 m east); slope 1.0° of 10°"
     summary = {"target_why": why, **summary}
     summary = {**content.summary, "target_reason": reason, "doubts": [], **summary}
@@ -58,8 +58,9 @@ def test_it_says_where_to_land_and_the_relation_of_the_target_to_the_sites(conte
     count = len(content.positions)
     told = headline.verdict(targeted(content, 0.0))
     assert f" at x {x:.2f}, y {y:.2f}, z {z:.2f} m; {success}" in told.answer
-    assert re.match(rf"It is site 1 of {count}: [\w, ]+. Against it: 80 % of the risk", told.ground)
-    assert "(greatest 3.1 m east). Ground: slope 1.0° of 10°. Landing is" in told.ground
+    relation = rf"It is site 1 of {count}: [\w, ]+; [\w, ]+. Against it: 80 % of the risk"
+    assert re.match(relation, told.ground)
+    assert "(mostly 3.1 m east). Ground: slope 1.0° of 10°. Landing is" in told.ground
     why = "site 1 (99.5 %, 0.6 m away) gains less than the divert costs"
     held = targeted(content, 0.6, why=f"target 3 (99.5 %): {why}")
     targets = held.history["target"][[*range(len(held.history["target"]) - 1), -1, -1]]
@@ -75,7 +76,7 @@ def test_it_says_where_to_land_and_the_relation_of_the_target_to_the_sites(conte
 def test_a_reason_has_the_probability_of_the_table_and_the_source_of_the_risk(content):
     for probability, reason in zip(content.sites["probability"], content.reasons, strict=True):
         assert reason.startswith(f"probability {shown(probability)}; ")
-        source = r"\d+ % of the risk comes from [a-z ]+ \(greatest (here|[\d.]+ m [a-z-]+)\); slope"
+        source = r"\d+ % of the risk comes from [a-z ]+ \(mostly (here|[\d.]+ m [a-z-]+)\); slope"
         assert probability >= 0.9999 or re.search(source, reason)
 
 
@@ -127,7 +128,7 @@ def test_without_a_site_the_nearest_miss_is_named(content):
             "good",
             "Good: land at x",
         ),
-        (0.995, ["another lander"], 1.0, "care", "its risk may be wrong"),
+        (0.995, ["another lander"], 1.0, "care", "the risk model does not fit"),
         (0.995, [], 0.01, "care", "of the ground within"),
         (0.93, [], 1.0, "care", "is 93.0 %, but a good site needs 99.0 %"),
         (0.2, [], 1.0, "none", "Not good enough: the target is at x"),
@@ -170,7 +171,7 @@ def test_ranks_are_explained_by_the_shown_probability_and_room(content):
     assert words([0.9995, 0.9996], [4.7, 0.5])[0] == "equal to 2, most room"
     far = headline.enough_room(content)
     assert words([0.99961, 0.9996, 0.9995], [far, far + 9.0, far + 1.0])[1:] == [
-        "equal to 1",
+        "equal to 1, ample room",
         "less probable than 2",
     ]
     assert words([np.nan, np.nan], [1.0, 1.0]) == ["lowest score", "higher score"]

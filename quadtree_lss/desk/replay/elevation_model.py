@@ -78,7 +78,9 @@ def rank_sites(
     lss_ms = 1e3 * (time.perf_counter() - before)
     heights = model.elevation[np.isfinite(model.elevation)]
     upward = np.median(cells.normal[cells.measured, 2]) if cells.measured.any() else np.nan
-    coarse = f"posts are {model.spacing:g} m apart: the model and the risk leave out smaller rocks"
+    coarse = (
+        f"heights are {model.spacing:g} m apart: smaller rocks do not show, the risk may be low"
+    )
     doubts = [*found.warnings, *[coarse] * (model.spacing > 0.5)]
     many = f"a leaf has {block} x {block} of the model's cells, which are too many for a map;"
     many += " an area (--area) cuts the model to it"

@@ -18,7 +18,7 @@ function showMoment(i) { // show map, sites and lander at sample i
   }
   byId("instant").value = view.moment;
   byId("clock").textContent = `${momentTime().toFixed(1)} s · ` +
-    `${f.height[view.moment].toFixed(1)} m over the aim · ${f.speed[view.moment].toFixed(1)} m/s`;
+    `${Math.max(f.height[view.moment], 0).toFixed(1)} m over the aim · ${f.speed[view.moment].toFixed(1)} m/s`;
   for (const row of eventRows()) {
     row.style.opacity = Number(row.cells[0].textContent) <= momentTime() + 0.05 ? 1 : 0.4;
   }

@@ -151,7 +151,7 @@ def rating(content: Results, moment: Moment, place: Array, probability: float) -
         near = f"the ground within {reach:.3g} m is allowed"
         against += [f"only {rounded(100.0 * share)} % of {near}"]
     if content.summary.get("doubts"):
-        against += ["its risk may be wrong (see the warnings)"]
+        against += ["the risk model does not fit this case (see below)"]
     return "care" if level == "good" and against else level, "; ".join(against)
 
 
@@ -207,8 +207,8 @@ def _relation(content: Results, moment: Moment, at_end: bool) -> str:
     k = int(np.argmin(away))
     if away[k] >= 0.01:
         return f"{name}, {away[k]:.1f} m from site {k + 1} of {count}: {why}"
-    if at_end and not k:
-        why = rank_reasons(content)[0].replace("equal to ", "within the model error equal to site ")
+    if at_end:
+        why = f"{rank_reasons(content)[k].replace('equal to ', 'as probable as site ')}; {why}"
     return f"It is site {k + 1} of {count}: {why}"
 
 
@@ -226,7 +226,7 @@ def _facts(content: Results, moment: Moment) -> list[Fact]:
             Fact(f"allowed around {name}", near, enough),
         ]
     if "probability" in (lss.assessment, lss.ranking):
-        bad = "may be wrong, see warnings", "care"
+        bad = "does not fit, see below", "care"
         facts.append(Fact("risk model", *(bad if warnings else ("fits", "good"))))
     spread = " × ".join(f"{s:.3g}" for s in dict.fromkeys(content.dispersion))
     facts.append(Fact("touchdown dispersion, 1 σ", f"{spread} m"))
@@ -257,7 +257,7 @@ def rank_reasons(content: Results) -> list[str]:
     texts = [shown(value) for value in probability]
     if best > 1 or texts[0] in texts[1:]:
         other = best if best > 1 else texts.index(texts[0], 1) + 1
-        words = [f"equal to {other}" + ", most room" * bool(room[0] > max(room[1:]))]
+        words = [f"equal to {other}, {'most' if room[0] > max(room[1:]) else 'ample'} room"]
     for k in range(1, len(risks)):
         equal = risks[k] <= equal_up_to(risks[k - 1])
         if equal and room[k] < room[k - 1]:
@@ -265,7 +265,7 @@ def rank_reasons(content: Results) -> list[str]:
         elif wanted:
             words.append("farther from the planned point")
         elif equal and texts[k] == texts[k - 1]:
-            words.append(f"equal to {k}")
+            words.append(f"equal to {k}, ample room")
         else:
             words.append(f"less probable than {k}")
     if wanted:

@@ -28,7 +28,7 @@ function makeLayers() {
     "Where to land: score, lower is better", "", how, "score", UNSEEN.name,
     { ofTime: true, states: true, ...(grid.risk && { ...chance, mark: Math.log10(data.limit.risk),
       markName: "limit (lss.max_risk)",
-      note: "Without the touchdown dispersion (lss.dispersion), which the success of a site includes." }) });
+      note: "Risk of a touchdown exactly here. The success of a site includes touchdowns off the aim (lss.dispersion)." }) });
   for (const layer of data.layers) {
     LAYERS[layer.name] = { ...layer, of: "grid", limits: layer.values.limits, map: layer.kind,
                            none: "not known" };

@@ -83,18 +83,18 @@ class LandingSiteSelector:
 
         Args:
             cells: The map.
-            area, keep_outs, target, why_withheld: As of `Restrictions`: where landing is wanted.
+            area, keep_outs, target: Where landing is wanted (`Restrictions`).
+            why_withheld: If not empty, no site is given out, for this reason.
             dispersion: Standard deviations of the touchdown about its aim point along x and y, m,
                 and optionally the vehicle's heading, rad, NaN for any; None for ``lss.dispersion``
-                and any heading. A heading matters only without a risk model, which was fitted to
-                the maximum over all headings.
+                and any heading. A risk model was fitted to the worst heading and ignores it.
             vehicle: As of `Motion`: height and downward speed, and optionally position and
                 velocity; None if unknown.
-            waited: Time since the first map, s: after ``lss.settle_time`` a target is chosen
-                even if too little is observed.
+            waited: Time since the first map, s. After ``lss.settle_time`` a target is chosen even
+                if little of the landing area is observed.
 
         Raises:
-            ValueError: not a dispersion.
+            ValueError: The dispersion or a restriction is invalid.
         """
         lss, keeper = self.config.lss, self._keeper
         spread = Dispersion.from_values(dispersion, lss)
@@ -111,7 +111,7 @@ class LandingSiteSelector:
             contacts = self._contact_check.contacts(raster, raster.needs_contact, heading)
         points = assess_points(raster, contacts, self._risk_table, lss)
         motion = None
-        if vehicle is not None:  # its height differs from the map's by ``offset_z``
+        if vehicle is not None:  # its height is ``offset_z`` too large over the map
             height, *others = vehicle
             motion = Motion(height - np.nan_to_num(cells.offset_z), *others)
         aims = aim(points, spread, restrictions, motion, keeper.held, lss)
@@ -125,7 +125,8 @@ class LandingSiteSelector:
         return replace(nothing, explanation=f"no site is given out: {why}")
 
     def _nothing(self, cells: CellMap, reason: Reason, bits: Bytes) -> LandingAssessment:
-        """Return the assessment of a map without observed ground; ``bits``: hazards (n, n)."""
+        """Return an assessment without site and target, also to the keeper of the target; ``bits``:
+        hazards (n, n)."""
         lss, grid = self.config.lss, make_grid(cells.domain, self.config.lss.spacing)
         shape = (len(grid.y), len(grid.x))
         unknown, nowhere = np.full(shape, np.nan), np.zeros(shape, dtype=np.bool_)

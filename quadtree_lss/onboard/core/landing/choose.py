@@ -187,7 +187,7 @@ def _risk_texts(
     points: PointAssessment, aims: Aims, nearest: tuple[Index, Index], lss: LssConfig
 ) -> list[str]:
     """Describe the main source of the risk at aim points, as in "80 % of the risk comes from
-    obstacles (greatest 3.1 m east); "; ``nearest``: rows and columns (K,) of the lattice."""
+    obstacles (mostly 3.1 m east); "; ``nearest``: rows and columns (K,) of the lattice."""
     risk, raster = points.risk, points.raster
     side = raster.domain.finest_size
     across, along = touchdown_weights(risk.shape, side, aims.dispersion)
@@ -209,7 +209,7 @@ def _risk_texts(
         bearing = BEARINGS[round(float(np.arctan2(north, east)) / (0.25 * np.pi)) % 8]
         where = "here" if away < 0.1 else f"{away:.1f} m {bearing}"
         share = f"{100.0 * parts[main] / (parts.sum() or 1.0):.0f} % of the risk comes from"
-        texts.append(f"{share} {SOURCES[main]} (greatest {where}); ")
+        texts.append(f"{share} {SOURCES[main]} (mostly {where}); ")
     return texts
 
 

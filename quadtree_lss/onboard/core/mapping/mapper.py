@@ -48,8 +48,8 @@ NOISE_CELLS = 3
 NOISE_SHARE = 0.1
 #: Number of scans in the median of `Mapper.unexplained_offset`.
 OFFSET_SCANS = 20
-#: Offsets that exceed so many standard deviations contradict the covariances of the poses; half of
-#: `OFFSET_SCANS` scans do only if the errors are 4.5 times the claim.
+#: Offsets that exceed so many standard deviations contradict the covariances of the poses. The
+#: median of `OFFSET_SCANS` scans does so only if the errors are 4.5 times as large as claimed.
 OFFSET_SIGMAS = 3.0
 
 
@@ -62,7 +62,7 @@ class ScanReport:
         points, points_used: Points in the message, and those that entered the map; the others are
             in ``dropped``.
         dropped: Number of dropped points by reason (``sensing.register``); ``contradiction`` for
-            all points of a rejected scan. ``isolated`` ones are held back and may enter later.
+            the other points of a rejected scan. ``isolated`` ones are held back, see ``admitted``.
         leaves: Leaves after the scan.
         divisions, refused_divisions: Cells that the scan divided, and that ``mapping.max_cells``
             left undivided.
@@ -90,10 +90,10 @@ class ScanReport:
 class Mapper:
     """Builds the quadtree map: ``update`` maps a scan with its pose, ``snapshot`` copies the map.
 
-    Not thread-safe. A scan enters as a whole, or changes nothing if none of its points is usable or
-    it contradicts the map. With ``domain.follow`` the square then moves. Scans without a mapped
-    point move it only after `OVERRULING_SCANS` in a row, so that a wrong pose does not discard the
-    map.
+    Not thread-safe. A scan enters as a whole, or leaves the cells as they are if none of its points
+    is usable or it contradicts the map. With ``domain.follow`` the square then moves. Scans without
+    a mapped point move it only after `OVERRULING_SCANS` in a row, so that a wrong pose does not
+    discard the map.
 
     Attributes:
         config: The configuration.
@@ -111,7 +111,8 @@ class Mapper:
         self._workspace = Workspace()
         self._buffers = update.ScanBuffers()
         self._correlation_time = config.pose.correlation_time  # of pose errors, s
-        self._length_unit = config.vehicle.clearance_ratio  # scale of the alignment's constants, m
+        # Clearance over the default's: the constants of `alignment`, m, are in proportion to it.
+        self._length_unit = config.vehicle.clearance_ratio
         self.reset()
 
     @property
@@ -184,10 +185,11 @@ class Mapper:
                 self._start_ns = self._start_ns or pose.stamp_ns
                 if not self.config.mapping.by_paper("covariance"):
                     offset = self._align(scan_update, cells, now)
-                ratio = scan_update.update_leaves(self._is_new_view(pose, points_lidar))
-                self._update_noise_ratio(ratio)
+                adds_coverage = self._remember_new_view(pose, points_lidar)
+                self._update_noise_ratio(scan_update.update_leaves(adds_coverage))
                 divisions, refused = scan_update.divisions, scan_update.refused
-        # Isolated returns wait until other scans show them, unless the pose may be wrong.
+        # Isolated returns wait until other scans show them, unless the pose may be wrong: returns
+        # `ABOVE` the lidar's height are a sign of that.
         if verdict is not Verdict.REJECTED and ABOVE not in dropped:
             self._held.scans += 1
             if scan.isolated is not None and verdict is Verdict.ACCEPTED:
@@ -210,7 +212,7 @@ class Mapper:
             admitted=scan.admitted if used else 0,
         )
 
-    def _is_new_view(self, pose: Pose, points_lidar: Points) -> bool:
+    def _remember_new_view(self, pose: Pose, points_lidar: Points) -> bool:
         """Return whether a scan adds coverage, and if so remember its pose and beams."""
         beams, correlation_time = update.sampled_beams(points_lidar), self._correlation_time
         if self._view is not None:
@@ -259,6 +261,7 @@ class Mapper:
             cells[update.RISE] -= height
             if alignment.is_inconsistent(self._rigid_motion(cells, scan, now)):
                 self.leaves.reset()
+                self._view = None
             else:
                 alignment.lift_map(self.leaves, height, -np.inf)
             self._held = HeldReturns(self.domain)
@@ -309,6 +312,7 @@ class Mapper:
             alignment.lift_map(self.leaves, self._pending_offset, round(offset.since, 9))
             self._held.lifted += self._pending_offset
             self._pending_offset = 0.0
+        # The height over the map as it is now: offset.height is the sum of both parts.
         self._last_offset = (offset.height - map_part + self._pending_offset, offset.variance)
         scan_update.lower(scan_part + self._pending_offset)
         return offset.height
@@ -351,7 +355,7 @@ class Mapper:
         )
 
     def _arrays(self) -> State:
-        """Arrays of the state whose shape does not scan_update, not copies."""
+        """Arrays of the state that keep their shape, not copies."""
         return {
             "observed": self.leaves.observed,
             "piled": self.leaves.piled,
@@ -362,7 +366,8 @@ class Mapper:
         }
 
     def export_state(self) -> State:
-        """Return all that a mapper must know to continue, by name; copies (`tree.checkpoint`)."""
+        """Return copies of the state that a checkpoint keeps, by name (`tree.checkpoint`). A mapper
+        that continues takes its next scan as a new view."""
         return {
             "format": np.array(checkpoint.FORMAT),
             "domain": np.array(astuple(self.domain), dtype=np.float64),
@@ -380,7 +385,7 @@ class Mapper:
 
     def import_state(self, state: State) -> None:
         """Continue from `export_state` of a mapper of the same domain, or, if it follows, of one
-        that was moved. Raises `CheckpointError`: it is none; the mapper is then unchanged."""
+        that was moved. Raises `CheckpointError`: the state is invalid; the mapper is unchanged."""
         like, follows = self.export_state(), self.config.domain.follow != "none"
         most = self.config.mapping.max_cells
         domain = checkpoint.check(state, like, self.domain, most, follows=follows)
