@@ -21,16 +21,13 @@ def result(bag):
 def test_notebooks_show_rank_position_and_probability_of_each_site(result):
     sites = result.assessment.sites
     assert len(sites) > 1
-    for shown in (sites, result.assessment, result):
-        rows = re.findall("<tr>(.*?)</tr>", shown._repr_html_())
-        names, *values = [re.findall("<td>(.*?)</td>", row) for row in rows]
-        values = dict(zip(names, np.array(values).T, strict=True))
-        np.testing.assert_array_equal(values["rank"].astype(int), np.arange(1, len(sites) + 1))
-        positions = np.column_stack([values[axis].astype(float) for axis in "xyz"])
-        np.testing.assert_allclose(positions, sites.position, atol=6e-5)
-        np.testing.assert_allclose(
-            values["probability"].astype(float), sites.probability, atol=6e-5
-        )
+    rows = re.findall("<tr>(.*?)</tr>", result._repr_html_())
+    names, *values = [re.findall("<td>(.*?)</td>", row) for row in rows]
+    values = dict(zip(names, np.array(values).T, strict=True))
+    np.testing.assert_array_equal(values["rank"].astype(int), np.arange(1, len(sites) + 1))
+    positions = np.column_stack([values[axis].astype(float) for axis in "xyz"])
+    np.testing.assert_allclose(positions, sites.position, atol=6e-5)
+    np.testing.assert_allclose(values["probability"].astype(float), sites.probability, atol=6e-5)
 
 
 def test_a_dataframe_has_rank_position_and_probability_of_each_site(result, monkeypatch):

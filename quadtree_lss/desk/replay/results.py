@@ -77,7 +77,12 @@ class ReplayResult:
         return f"<ReplayResult: {len(self.timings)} scans{state}{folder}; {self.assessment}>"
 
     def _repr_html_(self) -> str:
-        return self.assessment._repr_html_()
+        """Return the explanation and the table of sites for notebooks."""
+        columns = self.assessment.sites.columns()
+        rows = [columns, *zip(*columns.values(), strict=True)]
+        texts = ((f"{v:.4f}" if isinstance(v, float) else str(v) for v in row) for row in rows)
+        lines = (f"<tr><td>{'</td><td>'.join(line)}</td></tr>" for line in texts)
+        return f"<p>{self.assessment.explanation}</p><table>{''.join(lines)}</table>"
 
     def as_dict(self) -> dict[str, Any]:
         columns = dict(vars(self.assessment.sites))

@@ -125,8 +125,7 @@ class LandingSiteSelector:
         return replace(nothing, explanation=f"no site is given out: {why}")
 
     def _nothing(self, cells: CellMap, reason: Reason, bits: Bytes) -> LandingAssessment:
-        """Return an assessment without site and target, also to the keeper of the target; ``bits``:
-        hazards (n, n)."""
+        """Return an assessment without site and target; ``bits``: hazards (n, n)."""
         lss, grid = self.config.lss, make_grid(cells.domain, self.config.lss.spacing)
         shape = (len(grid.y), len(grid.x))
         unknown, nowhere = np.full(shape, np.nan), np.zeros(shape, dtype=np.bool_)

@@ -40,7 +40,6 @@ UNKNOWN_HEADING_VARIANCE = np.pi**2 / 3.0
 #: Sources of risk: those of `config.risk.CAUSES`, and the ground that is not assessable.
 SOURCES = ["obstacles", "steep slopes", "possible obstacles too small to detect"]
 SOURCES += ["ground observed but not estimated", "unobserved ground"]
-BEARINGS = "east north-east north north-west west south-west south south-east".split()
 
 
 def choose(
@@ -118,9 +117,7 @@ def _describe(
     slope_deg = np.degrees(np.arctan(planes.gradient[nearest]))
     risks = [""] * len(grid_points)
     if lss.ranking == "probability":
-        texts, chances = _risk_texts(points, aims, nearest, lss), aims.probability[rows, columns]
-        pairs = zip(chances, texts, strict=True)
-        risks = [f"probability {shown(p)}; {text * bool(p < 0.9999)}" for p, text in pairs]
+        risks = _risk_texts(points, aims, nearest, aims.probability[rows, columns], lss)
     limit = vehicle.max_slope_deg
     if lss.assessment == "touchdown":
         limit = vehicle.lengths.touchdown_slope_deg
@@ -165,9 +162,7 @@ def _describe_zones(
     column = np.clip(nearest[1][:, None] + over.column, 0, last)
     rough, raised = points.roughness[raster.leaf[row, column]], raster.subscale_peak[row, column]
     x, y = position[:, 0] - domain.xmin, position[:, 1] - domain.ymin
-    free_distance = (
-        np.minimum(np.minimum(x, domain.size - x), np.minimum(y, domain.size - y)) - zone
-    )
+    free_distance = np.minimum.reduce([x, domain.size - x, y, domain.size - y]) - zone
     marks = (
         (points.excluded.view(np.uint8), points.distance),
         ((~raster.interior).view(np.uint8), zone),
@@ -184,32 +179,29 @@ def _describe_zones(
 
 
 def _risk_texts(
-    points: PointAssessment, aims: Aims, nearest: tuple[Index, Index], lss: LssConfig
+    points: PointAssessment,
+    aims: Aims,
+    nearest: tuple[Index, Index],
+    chances: Array,
+    lss: LssConfig,
 ) -> list[str]:
-    """Describe the main source of the risk at aim points, as in "80 % of the risk comes from
-    obstacles (mostly 3.1 m east); "; ``nearest``: rows and columns (K,) of the lattice."""
-    risk, raster = points.risk, points.raster
-    side = raster.domain.finest_size
-    across, along = touchdown_weights(risk.shape, side, aims.dispersion)
-    up, right = len(across) // 2, len(along) // 2
-    weights, room, texts = across[:, None] * along, ((up, up), (right, right)), []
+    """Describe the risk at aim points, as in "probability 99.2 %; 80 % of the risk comes from
+    obstacles; "; ``nearest``: rows and columns (K,) of the lattice; ``chances``: (K,)."""
+    raster, texts = points.raster, []
+    across, along = touchdown_weights(points.risk.shape, raster.domain.finest_size, aims.dispersion)
+    border = (len(across) // 2,) * 2, (len(along) // 2,) * 2
     reach = (1.0 - RELATIVE_ROUNDING) * (0.5 * lss.vehicle.diameter + lss.vehicle.pad_radius)
     unknown = np.where(raster.to_unestimated < reach, np.uint8(3), np.uint8(4))
     source = np.where(raster.assessable, points.cause, unknown)
-    source = np.pad(source, room, constant_values=4)
-    padded = np.pad(risk, room, constant_values=1.0)
-    for aim_row, aim_column in zip(*nearest, strict=True):
-        window = np.s_[aim_row : aim_row + len(across), aim_column : aim_column + len(along)]
-        part, kind = weights * padded[window], source[window]
-        parts = np.bincount(kind.ravel(), part.ravel())
-        main = int(parts.argmax())
-        row, column = divmod(int(np.argmax(np.where(kind == main, part, 0.0))), len(along))
-        north, east = (row - up) * side, (column - right) * side
-        away = float(np.hypot(east, north))
-        bearing = BEARINGS[round(float(np.arctan2(north, east)) / (0.25 * np.pi)) % 8]
-        where = "here" if away < 0.1 else f"{away:.1f} m {bearing}"
-        share = f"{100.0 * parts[main] / (parts.sum() or 1.0):.0f} % of the risk comes from"
-        texts.append(f"{share} {SOURCES[main]} (mostly {where}); ")
+    source = np.pad(source, border, constant_values=4)
+    risk = np.pad(points.risk, border, constant_values=1.0)
+    for row, column, chance in zip(*nearest, chances, strict=True):
+        window = np.s_[row : row + len(across), column : column + len(along)]
+        part = across[:, None] * along * risk[window]
+        parts = np.bincount(source[window].ravel(), part.ravel())
+        share = 100.0 * parts.max() / (parts.sum() or 1.0)
+        text = f"{share:.0f} % of the risk comes from {SOURCES[parts.argmax()]}; "
+        texts.append(f"probability {shown(chance)}; {text * bool(chance < 0.9999)}")
     return texts
 
 

@@ -63,26 +63,18 @@ class Sites:
 
     def columns(self) -> dict[str, Any]:
         """Return the columns of ``sites.csv`` by name, and the ``reason`` of each site."""
-        positions = {axis: self.position[:, k] for k, axis in enumerate("xyz")}
-        normals = {f"n{axis}": self.normal[:, k] for k, axis in enumerate("xyz")}
+        vectors = np.hstack([self.position, self.normal]).T
+        places = dict(zip("x y z nx ny nz".split(), vectors, strict=True))
         names = "score slope_deg roughness hazard_distance subscale_height id probability".split()
         values = {name: getattr(self, name) for name in names}
         rank = np.arange(1, len(self) + 1)
-        return {"rank": rank, **positions, **normals, **values, "reason": list(self.reasons)}
+        return {"rank": rank, **places, **values, "reason": list(self.reasons)}
 
     def to_dataframe(self) -> Any:
         """Return the columns as a ``pandas.DataFrame``; pandas must be installed."""
         import pandas  # type: ignore[import-untyped]
 
         return pandas.DataFrame(self.columns())
-
-    def _repr_html_(self) -> str:
-        """Return a table for notebooks."""
-        columns = self.columns()
-        rows = [columns, *zip(*columns.values(), strict=True)]
-        texts = ((f"{v:.4f}" if isinstance(v, float) else str(v) for v in row) for row in rows)
-        lines = (f"<tr><td>{'</td><td>'.join(line)}</td></tr>" for line in texts)
-        return f"<table>{''.join(lines)}</table>"
 
     def __len__(self) -> int:
         return len(self.score)
@@ -222,10 +214,6 @@ class LandingAssessment:
     def __repr__(self) -> str:
         ny, nx = self.score.shape
         return f"<LandingAssessment: {nx} x {ny} grid points; {self.explanation}; {self.sites}>"
-
-    def _repr_html_(self) -> str:
-        """Return the explanation and the table of sites for notebooks."""
-        return f"<p>{self.explanation}</p>{self.sites._repr_html_()}"
 
     def _layer(self, compute: Callable[[GridSampler, PointAssessment], Array]) -> Array:
         out = np.full(self.score.shape, np.nan)

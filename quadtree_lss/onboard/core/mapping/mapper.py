@@ -90,10 +90,9 @@ class ScanReport:
 class Mapper:
     """Builds the quadtree map: ``update`` maps a scan with its pose, ``snapshot`` copies the map.
 
-    Not thread-safe. A scan enters as a whole, or leaves the cells as they are if none of its points
-    is usable or it contradicts the map. With ``domain.follow`` the square then moves. Scans without
-    a mapped point move it only after `OVERRULING_SCANS` in a row, so that a wrong pose does not
-    discard the map.
+    Not thread-safe. A scan enters as a whole, or changes no cell if none of its points is usable or
+    it contradicts the map. With ``domain.follow`` the square then moves. Scans without a mapped
+    point move it only after `OVERRULING_SCANS` in a row, so that a wrong pose does not discard it.
 
     Attributes:
         config: The configuration.
@@ -111,8 +110,7 @@ class Mapper:
         self._workspace = Workspace()
         self._buffers = update.ScanBuffers()
         self._correlation_time = config.pose.correlation_time  # of pose errors, s
-        # Clearance over the default's: the constants of `alignment`, m, are in proportion to it.
-        self._length_unit = config.vehicle.clearance_ratio
+        self._length_unit = config.vehicle.clearance_ratio  # scale of the lengths in `alignment`
         self.reset()
 
     @property
@@ -188,8 +186,7 @@ class Mapper:
                 adds_coverage = self._remember_new_view(pose, points_lidar)
                 self._update_noise_ratio(scan_update.update_leaves(adds_coverage))
                 divisions, refused = scan_update.divisions, scan_update.refused
-        # Isolated returns wait until other scans show them, unless the pose may be wrong: returns
-        # `ABOVE` the lidar's height are a sign of that.
+        # Isolated returns wait for other scans, unless returns `ABOVE` show that the pose is wrong.
         if verdict is not Verdict.REJECTED and ABOVE not in dropped:
             self._held.scans += 1
             if scan.isolated is not None and verdict is Verdict.ACCEPTED:
@@ -366,8 +363,7 @@ class Mapper:
         }
 
     def export_state(self) -> State:
-        """Return copies of the state that a checkpoint keeps, by name (`tree.checkpoint`). A mapper
-        that continues takes its next scan as a new view."""
+        """Return copies of the state that a checkpoint keeps, by name (`tree.checkpoint`)."""
         return {
             "format": np.array(checkpoint.FORMAT),
             "domain": np.array(astuple(self.domain), dtype=np.float64),
