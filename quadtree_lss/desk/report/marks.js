@@ -17,7 +17,10 @@ function badge(c, x, y, text, chosen) {
 }
 function drawTarget(c, x, y, others) { // others: [x, y] of the sites; the label is far from them
   ring(c, x, y, 1.12 * data.zone, [4, 4]);
-  if (!others.some(([u, v]) => Math.hypot(u - x, v - y) < 0.01)) badge(c, x, y, "", true);
+  if (!others.some(([u, v]) => Math.hypot(u - x, v - y) < 0.01)) {
+    c.beginPath(); c.arc(px(x), py(y), 5, 0, 2 * Math.PI);
+    c.fillStyle = ink("--accent"); c.fill(); c.strokeStyle = "#fff"; c.lineWidth = 1.5; c.stroke();
+  }
   const away = Math.max(0.8 * data.zone * view.scale, 14), wide = 60, high = 20;
   const far = others.filter(([u, v]) => Math.hypot(u - x, v - y) > data.zone);
   const room = ([left, top]) => Math.min(...far.map(([u, v]) =>
