@@ -17,7 +17,7 @@ function badge(c, x, y, text, chosen) {
 }
 function drawTarget(c, x, y, others) { // others: [x, y] of the sites; the label is far from them
   ring(c, x, y, 1.12 * data.zone, [4, 4]);
-  if (!others.some(([u, v]) => Math.hypot(u - x, v - y) < 0.01)) {
+  if (!others.some(([u, v]) => Math.hypot(px(u) - px(x), py(v) - py(y)) < 17)) { // beside the numbers
     c.beginPath(); c.arc(px(x), py(y), 5, 0, 2 * Math.PI);
     c.fillStyle = ink("--accent"); c.fill(); c.strokeStyle = "#fff"; c.lineWidth = 1.5; c.stroke();
   }
