@@ -14,7 +14,7 @@ and its text says so.
 
 Without options the program lists the figures. `--make` makes those of `quick` commands in five
 minutes. `--all` also makes those of `hours`, and of `idle`, which need an otherwise idle computer:
-about an hour and a half on two cores. Figures of
+about two hours on two cores. Figures of
 this build are not made again, and campaigns resume in build/evidence. Recordings and measured
 terrains are in the folder QUADTREE_LSS_DATA.
 """

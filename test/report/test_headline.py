@@ -56,21 +56,21 @@ def test_it_says_where_to_land_and_the_relation_of_the_target_to_the_sites(conte
     x, y, z = content.positions[0]
     success = "the probability of a safe touchdown there is 99.5 %."
     count = len(content.positions)
-    told = headline.verdict(targeted(content, 0.0))
-    assert f" at x {x:.2f}, y {y:.2f}, z {z:.2f} m; {success}" in told.answer
+    verdict = headline.verdict(targeted(content, 0.0))
+    assert f" at x {x:.2f}, y {y:.2f}, z {z:.2f} m; {success}" in verdict.answer
     relation = rf"It is site 1 of {count}: [\w, ]+; [\w, ]+. Against it: 80 % of the risk"
-    assert re.match(relation, told.ground)
-    assert "comes from obstacles. Ground: slope 1.0° of 10°. Landing is" in told.ground
+    assert re.match(relation, verdict.ground)
+    assert "comes from obstacles. Ground: slope 1.0° of 10°. Landing is" in verdict.ground
     why = "site 1 (99.5 %, 0.6 m away) gains less than the divert costs"
     held = targeted(content, 0.6, why=f"target 3 (99.5 %): {why}")
     targets = held.history["target"][[*range(len(held.history["target"]) - 1), -1, -1]]
     history = {**held.history, "target": targets}
-    told = headline.verdict(changed(held, history=history))
-    assert f" at x {x + 0.6:.2f}, y {y:.2f}, z {z:.2f} m; {success}" in told.answer
+    verdict = headline.verdict(changed(held, history=history))
+    assert f" at x {x + 0.6:.2f}, y {y:.2f}, z {z:.2f} m; {success}" in verdict.answer
     relation = f"It is target 3, held from an earlier assessment, 0.6 m from site 1 of {count}"
     relation += f": {why}."
-    assert told.ground.startswith(relation)
-    assert told.facts[0][:2] == ("success at the target", "99.5 %")
+    assert verdict.ground.startswith(relation)
+    assert verdict.facts[0][:2] == ("success at the target", "99.5 %")
 
 
 def test_a_reason_has_the_probability_of_the_table_and_the_source_of_the_risk(content):
@@ -84,14 +84,14 @@ def test_it_says_why_there_is_no_target_yet(content):
     why = "safe ground waits for the confirmation by another assessment"
     found = targeted(content, 0.0, why=f"no target: {why}")
     history = {**found.history, "target": 0.0 * found.history["target"]}
-    told = headline.verdict(changed(found, history=history))
+    verdict = headline.verdict(changed(found, history=history))
     x, y, _ = content.positions[0]
     count = len(content.positions)
     assert (
         f": no target: {why}; the probability of a safe touchdown at site 1 of {count}, x {x:.2f}"
-        in told.answer
+        in verdict.answer
     )
-    assert told.level != "good"
+    assert verdict.level != "good"
 
 
 def test_the_vehicle_is_named_and_stamps_from_zero_are_seconds(content):
@@ -145,15 +145,15 @@ def test_a_rating_is_of_probability_surroundings_and_model(
     safe |= (content.grid.x == x) & (content.grid.y == y)[:, None]
     grid = {**content.grid, "safe": safe}
     found = changed(targeted(content, 0.0, best, **summary), sites=sites, grid=grid)
-    told = headline.verdict(found)
-    assert told.level == level and words in told.answer
-    facts = {fact.name: fact for fact in told.facts}
+    verdict = headline.verdict(found)
+    assert verdict.level == level and words in verdict.answer
+    facts = {fact.name: fact for fact in verdict.facts}
     assert facts["risk model"].level == ("care" if doubts else "good")
     assert facts["allowed around the target"].level == ("good" if around == 1.0 else "care")
     assert headline.ratings(found)[0][0] == level
     shown = page(found)
     assert f'class="verdict {level}"' in shown
-    for fact in told.facts:
+    for fact in verdict.facts:
         assert f"<dd>{fact.value}</dd>" in shown
 
 
@@ -169,6 +169,7 @@ def test_ranks_are_explained_by_the_shown_probability_and_room(content):
         "less probable than 2",
     ]
     assert words([0.9995, 0.9996], [4.7, 0.5])[0] == "equal to 2, most room"
+    assert words([0.9995, 0.9996], [4.7, 4.7])[0] == "equal to 2"
     far = headline.enough_room(content)
     assert words([0.99961, 0.9996, 0.9995], [far, far + 9.0, far + 1.0])[1:] == [
         "equal to 1, ample room",

@@ -249,7 +249,8 @@ def rank_reasons(content: Results) -> list[str]:
     """Explain the rank of each site by the shown figures (see ``landing.ranking``)."""
     sites, wanted = content.sites, "target" in content.summary.get("landing", {})
     probability = np.asarray(sites.get("probability", np.nan), np.float64)
-    room = np.round(np.minimum(sites["hazard_distance"], enough_room(content)), 1)
+    room = np.round(np.minimum(sites["hazard_distance"], enough := enough_room(content)), 1)
+    ample = [", ample room" * bool(k >= round(enough, 1)) for k in room]
     if not len(room) or np.isnan(probability).any():
         return ["lowest score"] * (len(room) > 0) + ["higher score"] * (len(room) - 1)
     risks, best = 1.0 - probability, int(np.argmax(probability)) + 1
@@ -257,7 +258,7 @@ def rank_reasons(content: Results) -> list[str]:
     texts = [shown(value) for value in probability]
     if best > 1 or texts[0] in texts[1:]:
         other = best if best > 1 else texts.index(texts[0], 1) + 1
-        words = [f"equal to {other}, {'most' if room[0] > max(room[1:]) else 'ample'} room"]
+        words = [f"equal to {other}{', most room' if room[0] > max(room[1:]) else ample[0]}"]
     for k in range(1, len(risks)):
         equal = risks[k] <= equal_up_to(risks[k - 1])
         if equal and room[k] < room[k - 1]:
@@ -265,7 +266,7 @@ def rank_reasons(content: Results) -> list[str]:
         elif wanted:
             words.append("farther from the planned point")
         elif equal and texts[k] == texts[k - 1]:
-            words.append(f"equal to {k}, ample room")
+            words.append(f"equal to {k}{ample[k]}")
         else:
             words.append(f"less probable than {k}")
     if wanted:

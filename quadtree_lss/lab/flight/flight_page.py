@@ -52,7 +52,7 @@ def _page(content: Results, flown: FlightResult) -> str:
     down = figures["outcome"] == "touchdown"
     words, _, ground = headline(flown).partition(": ")[2].partition(" after ")
     words += " at x {x:.2f}, y {y:.2f} m".format(**figures) if down else ""
-    told = verdict(content)
+    last = verdict(content)
     return page(
         content,
         _truth_layers(content, flight.ground),
@@ -60,7 +60,7 @@ def _page(content: Results, flown: FlightResult) -> str:
         extra_data=lambda data, columns: {"flight": _flight_data(data, columns, flown)},
         title=f"Flight, seed {figures['seed']}",
         answer=f"{words[:1].upper()}{words[1:]}.",
-        ground=f"After {ground}. The last assessment: {told.answer} {told.ground}",
+        ground=f"After {ground}. The last assessment: {last.answer} {last.ground}",
         level="good" if down and figures["safe"] else "none",
         decisions=[
             (f"{d.time:.1f}", f"{d.height:.1f}", d.what, f"{d.x:.2f}", f"{d.y:.2f}")
